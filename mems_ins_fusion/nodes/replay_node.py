@@ -1,6 +1,6 @@
 """replay_node: runs the filter of the live node over recordings, with each sensor error model, against a reference.
 
-This file has the parameters, the progress bar and the exit status; the work is in `evaluation`.
+This file has the parameters, the progress bar and the exit status; the work is in `reports.replay`.
 """
 from __future__ import annotations
 

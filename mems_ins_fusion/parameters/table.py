@@ -149,7 +149,8 @@ FILTER = (
     Parameter('vehicle.non_holonomic_vertical_sigma', 2.0, 'm/s', 'Standard deviation of the velocity along the '
               'vertical axis of the vehicle (strapdown): motion of the suspension.', positive=True, maximum=100.0),
     Parameter('vehicle.non_holonomic_angle_sigma', 0.0, 'rad', 'Standard deviation of the direction of motion in the '
-              'axes of the vehicle; times the speed, it is added to the two sigmas above.', minimum=0.0, maximum=0.5),
+              'axes of the vehicle; times the speed, it adds to the two sigmas above, as squares.', minimum=0.0,
+              maximum=0.5),
     Parameter('vehicle.sideslip_sigma', 0.0, 'rad/(m/s^2)', 'Standard deviation of vehicle.sideslip_per_acceleration.',
               minimum=0.0, maximum=0.1),
     Parameter('vehicle.rear_axle', [0.0, 0.0, 0.0], 'm', 'From the IMU to the middle of the axle that does not steer, '
