@@ -283,7 +283,8 @@ def _profiles(cost, best, limits, names, indices=None):
 
 
 def _profile_end(cost, best, index, limits, curvature, side):
-    """Where the profile of parameter `index` has risen by _DROP on one side of the best; None beyond the limits."""
+    """Value of parameter `index`, on one side of the best, at which its profile has risen by _DROP; None beyond the
+    limits."""
     from scipy.optimize import brentq
 
     others = [i for i in range(len(best)) if i != index]

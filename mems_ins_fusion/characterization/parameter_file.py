@@ -13,7 +13,7 @@ from .fitting import Estimate
 
 #: significant digits of the values in the file
 _DIGITS = 4
-#: the same of AR coefficients: with poles near the unit circle they need more
+#: significant digits of AR coefficients: with poles near the unit circle they need more
 _COEFFICIENT_DIGITS = 10
 
 

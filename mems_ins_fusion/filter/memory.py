@@ -49,10 +49,10 @@ class _Nav(NamedTuple):
     CONSTRAINT_TIME: int = column()  # s since the last vehicle constraint
     # Statistics of the inputs are part of the state, so that a return to an earlier state for a late fix restores them
     MEMORY: int = column(0)  # the first of these columns, which a prediction only copies
-    FIX_TIME: int = column()  # of the last fix, used or refused
+    FIX_TIME: int = column()  # time and position of the last fix, used or refused
     FIX_LATITUDE: int = column()
     FIX_LONGITUDE: int = column()
-    RESIDUAL_TIME: int = column()  # of the last fix used, and its residual: updated minus measured position, m
+    RESIDUAL_TIME: int = column()  # time of the last fix used, and its residual: updated minus measured position, m
     RESIDUAL_N: int = column()
     RESIDUAL_E: int = column()
     REFUSED: int = column()  # fixes refused in a row; sums over them, to fit a line to their innovations:
@@ -328,9 +328,9 @@ class _Head(NamedTuple):
     SAMPLES: int = column()  # IMU samples so far: the newest state is in row SAMPLES modulo CAPACITY
     EVENTS: int = column()  # number of measurements in the memory
     ROWS_AT: int = column()  # first position of the states,
-    RING_AT: int = column()  # of the IMU samples,
-    EVENTS_AT: int = column()  # of the measurements,
-    SCRATCH_AT: int = column()  # and of the scratch
+    RING_AT: int = column()  # first position of the IMU samples,
+    EVENTS_AT: int = column()  # first position of the measurements,
+    SCRATCH_AT: int = column()  # and first position of the scratch
     # indices of the optional states among all n; -1: none
     COLOURED: int = column()  # coloured_n, followed by coloured_e
     MOUNTING_PITCH: int = column()
@@ -340,7 +340,7 @@ class _Head(NamedTuple):
     INTERVAL: int = column(2)  # s, T_s of the autoregressive models of accelerometers and gyroscopes; 0: other models
     MAX_GAP: int = column()  # s
     MAX_DELAY: int = column()  # s
-    LEVER_X: int = column()  # of the antenna, body axes forward-right-down, m
+    LEVER_X: int = column()  # lever arm of the antenna, body axes forward-right-down, m
     LEVER_Y: int = column()
     LEVER_Z: int = column()
     AXLE_X: int = column()  # from the IMU to the point that does not slip, body axes, m
@@ -354,8 +354,8 @@ class _Head(NamedTuple):
     ZERO_VELOCITY_SIGMA: int = column()  # 0: not used
     LATERAL_SIGMA: int = column()  # 0: not used
     VERTICAL_SIGMA: int = column()
-    SIDESLIP: int = column()  # rad per m/s^2 of lateral acceleration
-    SLIP_SIGMA: int = column()  # its standard deviation, rad per m/s^2
+    SIDESLIP: int = column()  # sideslip angle, rad per m/s^2 of lateral acceleration,
+    SLIP_SIGMA: int = column()  # and its standard deviation, rad per m/s^2
     ANGLE_SIGMA: int = column()  # standard deviation of the direction of motion in the vehicle's axes, rad
     CONDITIONING: int = column(36)  # 6 x 6: body-axis sample = matrix (raw sample) + offset
     OFFSET: int = column(6)
@@ -457,11 +457,11 @@ class _Event(NamedTuple):
     Z_N: int = column()  # innovation, predicted minus measured
     Z_E: int = column()
     Z_D: int = column()
-    S_NN: int = column()  # its covariance
+    S_NN: int = column()  # covariance of the innovation
     S_NE: int = column()
     S_EE: int = column()
     S_DD: int = column()
-    NIS: int = column()  # of the first two components
+    NIS: int = column()  # normalized innovation squared of the first two components
     VERDICT: int = column()  # what the filter did with it, one of `Verdict`
     WEIGHT: int = column()  # factor by which the robust weight multiplied the inverse of S, 0 to 1
     YAW: int = column()  # predicted yaw and velocity, for innovations along and across track
@@ -469,11 +469,11 @@ class _Event(NamedTuple):
     V_E: int = column()
     WITHDRAWN: int = column()  # 1: a later measurement has shown that it is wrong
     INPUT: int = column()  # number of its named input, from 1 on; 0: the unnamed input
-    STATE: int = column()  # of a named input: index of its first optional state among all n; -1: none
+    STATE: int = column()  # if from a named input: index of the input's first optional state among all n; -1: none
     TIME_OFFSET: int = column()  # index of the state of its time offset among all n; 0 (a position state): none
-    ARM: int = column(3)  # of a named input: lever arm from the IMU, body axes, m
-    STATUS: int = column()  # of a fix, `NavSatStatus.status`: 0 plain, 1 with satellite corrections, 2 with a base
-    DECLINATION: int = column()  # of a magnetic field, as configured, rad
+    ARM: int = column(3)  # if from a named input: lever arm from the IMU, body axes, m
+    STATUS: int = column()  # if a fix: `NavSatStatus.status`, 0 plain, 1 with satellite corrections, 2 with a base
+    DECLINATION: int = column()  # if a magnetic field: declination as configured, rad
     SIZE: int = column(0)
 
 
@@ -486,7 +486,7 @@ class _Verdict(NamedTuple):
     PENDING: int = 0  # not applied yet
     USED: int = 1
     WEIGHTED: int = 2  # used with a larger covariance, as its innovation is large
-    REFUSED: int = 3  # its innovation is beyond the gate
+    REFUSED: int = 3  # refused: its innovation is beyond the gate
     FROZEN: int = 4  # refused: its value does not change although the state does
     RECOVERED: int = 5  # the filter restarted from it, as it agrees with fixes refused before
     AHEAD: int = 6  # refused: its stamp is later than that of the next IMU sample

@@ -83,7 +83,7 @@ def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward l
     rotation, columns = axes_rotation(axes), columns or {}
     table = _selected_rows(read_table(path), rows)
     sensors = _AXES['a'] if gyro else (*_AXES['a'], *_AXES['w'])
-    # of a file with one sensor alone the axes need no further name
+    # in a file with a single sensor, columns called x, y, z are its axes
     found = _require(table, sensors, IMU_COLUMNS, columns, {f'a{axis}': (axis,) for axis in 'xyz'} if gyro else {})
     stamp, time_unit = _times(table, columns, time_unit, _LONGEST_IMU_INTERVAL, found)
     acceleration_unit = acceleration_unit or found['ax'].unit_among(ACCELERATION)

@@ -1,4 +1,4 @@
-"""How the files of well-known loggers are to be read: presets of the options of `import_csv`.
+"""Presets of the options of `import_csv` for the files of well-known loggers.
 
 A preset is a dictionary of these options, by the names they have in `csv_import` and on the command line (`imu_columns`
 is `--imu-columns`). What a user gives counts more. Sources: ArduPilot's AP_Logger and `mavlogdump.py --format csv`;

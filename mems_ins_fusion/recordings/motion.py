@@ -262,7 +262,7 @@ def _solve(design, values, weight):
 
 
 def _course_changes(fixes: Fixes):
-    """Of pairs of successive intervals: stamps (begin, middle, end), speeds, change of course, rad, and its weight."""
+    """For pairs of successive intervals: stamps (begin, middle, end), speeds, change of course, rad, and its weight."""
     fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
     if len(fixes) < 2:
         return None

@@ -115,7 +115,7 @@ class Table:
         return next((there[alias] for alias in aliases if alias in there), None)
 
     def require(self, wanted: str, aliases) -> str:
-        """As `find`; RecordingError where no column is for `wanted`."""
+        """As `find`, but raises RecordingError if there is no column for `wanted`."""
         name = self.find(aliases)
         if name is None:
             raise RecordingError(f'{self.path} has no column that looks like {wanted}; {self.listing()}')

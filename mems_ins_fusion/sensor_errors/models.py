@@ -121,7 +121,7 @@ class GaussMarkov(Model):
 
     def with_tilt(self, sigma, time):
         total = math.hypot(self.sigma, sigma)
-        share = (sigma / total) ** 2  # of the two correlation times, by their part of the variance
+        share = (sigma / total) ** 2  # weights of the two correlation times: their shares of the variance
         return GaussMarkov(total, math.exp(share * math.log(time) + (1 - share) * math.log(self.tau))), 0.0
 
     def transition(self, dt: float) -> np.ndarray:

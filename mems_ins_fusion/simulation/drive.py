@@ -41,7 +41,7 @@ def stream(seed: int, purpose: str) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Motion:
-    """Where the vehicle is and how it moves, at times (n,) s after the start.
+    """Position, velocity and attitude of the vehicle at times (n,) s after the start.
 
     position: (n, 3) m north-east-down along the ground from the start. latitude, longitude: (n,) rad. height: (n,) m.
     velocity: (n, 3) m/s north-east-down. roll, pitch, yaw: (n,) rad, body (forward-right-down) to north-east-down;

@@ -19,9 +19,9 @@ ROBOT_SPEED = 0.4
 MAX_JERK = 2.5
 #: m, smallest radius of a turn, at its tightest point
 MIN_RADIUS = 9.0
-#: of the quintic step: largest first derivative
+#: largest first derivative of the quintic step
 _PEAK_RATE = 15 / 8
-#: of the quintic step: largest second derivative
+#: largest second derivative of the quintic step
 _PEAK_CURVATURE = 10 / math.sqrt(3)
 #: s, segments end on multiples of this, where the quadrature has an edge
 _TIME_GRID = 0.1

@@ -67,7 +67,7 @@ class Handover:
 
     @property
     def text(self) -> str:
-        """For messages."""
+        """The change in words, for a message."""
         return (f'the filter goes on with other parameters: position {self.position:.2f} m, heading '
                 f'{math.degrees(self.yaw):+.2f} deg from where it was')
 
@@ -86,7 +86,7 @@ class WatchedFilter(FusionFilter):
     """`FusionFilter` that keeps the innovations of the fixes, by a number of the fix that several filters share."""
 
     def __init__(self, config: FilterConfig):
-        self._numbers: dict[int, int] = {}  # of fixes that are not processed yet, by Event.ID
+        self._numbers: dict[int, int] = {}  # by Event.ID: numbers of fixes that are not processed yet
         self.misfits: dict[int, tuple[float, float]] = {}
         super().__init__(config)
 

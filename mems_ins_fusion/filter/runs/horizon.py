@@ -63,7 +63,7 @@ class Horizon(NamedTuple):
 
     @property
     def in_words(self) -> str:
-        """For messages."""
+        """The horizon in words, for a message."""
         more = 'more than ' if self.seconds >= LONGEST else ''
         return f'{more}{self.seconds:.1f} s, {self.metres:.0f} m'
 

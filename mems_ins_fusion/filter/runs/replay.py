@@ -134,7 +134,7 @@ class Replay(Intake):
 
     def run(self) -> Run:
         segments = self._segments()
-        self.saved: SavedState | None = None  # of the previous stretch
+        self.saved: SavedState | None = None  # state at the end of the previous stretch
         ends = [kept[0] for kept in segments[1:]] + [np.iinfo(np.int64).max]
         correctors = self.config.correctors()
         for kept, end in zip(segments, ends):
