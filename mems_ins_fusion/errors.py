@@ -1,10 +1,10 @@
-"""The one kind of error that is a user's to mend."""
+"""The exception for errors that the user can correct."""
 from __future__ import annotations
 
 
 class InputError(ValueError):
-    """What was given - a file, an option, a parameter, a recording - cannot be used: one line that says why.
+    """A file, an option, a parameter or a recording cannot be used; the text says why in one line.
 
-    Every tool prints it and ends with status 2. Any other exception, a library's ValueError among them, is a defect of
-    the program and told as one (`guard`).
+    Every tool prints the text and ends with status 2. Any other exception, including a ValueError of a library, is
+    reported as a defect of the program (`guard`).
     """

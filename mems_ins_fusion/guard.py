@@ -1,6 +1,6 @@
-"""The last net under every tool: whatever happens, a user reads one line and the shell gets an exit status.
+"""Handling of all exceptions and signals in a tool: the user gets one line, and the shell an exit status.
 
-0: done. 2: what was given cannot be used. 130: interrupted, by Ctrl-C or SIGTERM, after cleaning up.
+0: done. 2: the input cannot be used. 130: interrupted, by Ctrl-C or SIGTERM, after cleaning up.
 """
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from pathlib import Path
 from mems_ins_fusion.errors import InputError
 
 BAD_INPUT, INTERRUPTED = 2, 130
-#: s after a signal in which a tool may clean up; after them it ends all the same: whatever a library does, Ctrl-C works
+#: s for which a tool may clean up after a signal; then it is ended, so that Ctrl-C always works
 GRACE = 10.0
 _AGAIN = 0.05  # s until a lost interruption is repeated
 _PACKAGE = Path(__file__).parent
 _INTERRUPTED = 'interrupted, nothing was written'
-#: what the system has too little of: part of an error's text, or its number, and how a user has more of it
+#: errors by limits of the system: error numbers and parts of the text, and how a user raises the limit
 _LIMITS = (
     ((errno.EMFILE, errno.ENFILE, 'Too many open files'),
      'too many files are open at once: raise that limit of this shell (ulimit -n)'),
@@ -36,7 +36,8 @@ _LIMITS = (
 
 
 def guarded(tool: str, argv: list[str], work: Callable[[], int | None]) -> int:
-    """The exit status of `work`, or that of what stopped it, which is then said in one line on standard error."""
+    """Run `work`; returns its exit status, or that of an exception or signal, which is reported in one line on standard
+    error."""
     interruption = _Interruption(tool)
     warnings.simplefilter('ignore', RuntimeWarning)  # NumPy on values that no sensor delivers
     warnings.formatwarning = lambda message, *_, **__: f'{tool}: {one_line(message)}\n'
@@ -62,19 +63,19 @@ def guarded(tool: str, argv: list[str], work: Callable[[], int | None]) -> int:
 
 
 def stop_if_interrupted() -> None:
-    """KeyboardInterrupt where a signal has come: a library may have lost the one that its handler raised."""
+    """Raise KeyboardInterrupt if a signal has come: a library may have caught the one that the handler raised."""
     if (running := _Interruption.running) is not None and running.requested and not running.heard:
         raise KeyboardInterrupt
 
 
 def heard_interruption() -> None:
-    """For who catches the KeyboardInterrupt and still has something to write."""
+    """To be called by code that catches the KeyboardInterrupt and still has something to write."""
     if _Interruption.running is not None:
         _Interruption.running.heard = True
 
 
 def refuse(tool: str, error: InputError) -> int:
-    """Say what is wrong with what was given; the exit status."""
+    """Print the message of an InputError; returns the exit status."""
     return _say(tool, one_line(error))
 
 
@@ -85,9 +86,10 @@ def one_line(error) -> str:
 
 
 def identity(error: BaseException) -> str:
-    """A short name for the defect behind `error`: the same wherever it shows, in other data and other versions.
+    """A short identifier of the defect behind `error`, the same with other data and in other versions.
 
-    Of the type of the exception and the two innermost functions of the package that it went through, without lines.
+    It is computed from the type of the exception and the two innermost functions of the package in its traceback,
+    without line numbers.
     """
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _PACKAGE in Path(frame.filename).parents]
     where = [f'{Path(frame.filename).stem}.{frame.name}' for frame in frames[-2:]]
@@ -122,7 +124,7 @@ def _reason(tool: str, argv: list[str], error: Exception) -> str:
 
 
 def _written(tool: str, argv: list[str]) -> str:
-    """Write the present exception to a file; how the sentence goes on."""
+    """Write the present exception to a file; returns the end of the message."""
     try:
         with tempfile.NamedTemporaryFile('w', prefix=f'mems_ins_fusion_{tool}_', suffix='.txt', delete=False,
                                          encoding='utf-8', errors='backslashreplace') as file:

@@ -1,4 +1,4 @@
-"""What every tool tells alike: the version, and what a name that does not exist may have meant."""
+"""Messages that all tools have in common: the version, and a suggestion for a name that does not exist."""
 from __future__ import annotations
 
 import difflib
@@ -9,8 +9,8 @@ from . import __version__
 VERSION = f'mems_ins_fusion {__version__}'
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """How the sentence that refuses `name` goes on: with the one of `known` that begins so, else with the most similar,
-    or not at all."""
+    """Suggestion that is appended to a message which refuses `name`: the only name in `known` that begins with it, else
+    the most similar one; '' without any."""
     known = list(known)
     longer = [one for one in known if name and one.startswith(f'{name}_')]
     close = longer if len(longer) == 1 else difflib.get_close_matches(name, known, n=1)

@@ -1,15 +1,15 @@
-"""How far a tool is, on standard error: a bar where a person watches, in a log a line now and then."""
+"""Progress of a tool on standard error: a bar on a terminal, in a log a line now and then."""
 from __future__ import annotations
 
 import sys
 import time
 
-#: between two lines of a log, s; what is done before that says nothing
+#: s between two lines in a log; a shorter task writes none
 PERIOD = 20.0
 
 
 class Progress:
-    """A context manager, called with the part done, 0 to 1, and what is being done at the moment."""
+    """A context manager that is called with the part done, 0 to 1, and the present stage in words."""
 
     def __init__(self, name: str, period: float = PERIOD):
         self._name, self._period = name, period

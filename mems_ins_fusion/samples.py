@@ -1,7 +1,7 @@
-"""What the sensors delivered, as arrays: the one form in which every part of the package passes data on.
+"""Samples of the sensors as arrays, the common data format of all parts of the package.
 
-Stamps are integer nanoseconds since the epoch, as in the message headers; `received` is when the
-message arrived (the log time of a bag), which decides the order in which a live filter saw it.
+Stamps are integer nanoseconds since the epoch, as in the message headers. `received` is the time at which the message
+arrived (the log time of a bag); a live filter processes messages in this order.
 """
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ def runs(mask: np.ndarray) -> np.ndarray:
 
 
 def in_time_order(stamp: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Indices of the samples that are `usable` (n,) bool in the order of `stamp` (n,) ns, of equal stamps the first."""
+    """Indices of the samples that are `usable` (n,) bool, in the order of `stamp` (n,) ns; of equal stamps, the first.
+    """
     index = np.flatnonzero(usable)
     return index[np.unique(stamp[index], return_index=True)[1]]
 
@@ -53,15 +54,15 @@ class ImuSamples(_Samples):
     temperature: np.ndarray | None = None
 
     def with_temperature(self, temperatures: Temperatures | None) -> ImuSamples:
-        """The samples with what `temperatures` (by arrival) had said when each arrived."""
+        """The samples with the latest of `temperatures`, in the order of arrival, at the time when each arrived."""
         if temperatures is None:
             return self
         last = np.searchsorted(temperatures.received, self.received, side='right') - 1
-        celsius = np.append(temperatures.celsius, np.nan)[last]  # -1, none yet, is the NaN
+        celsius = np.append(temperatures.celsius, np.nan)[last]  # index -1 (none yet) gives the NaN
         return replace(self, temperature=celsius)
 
 
-#: of an IMU that a recording does not have
+#: samples of an IMU that a recording does not have
 NO_SAMPLES = ImuSamples(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)))
 
 
@@ -86,7 +87,7 @@ class Fixes(_Samples):
 
 @dataclass(frozen=True)
 class Reference(_Samples):
-    """The truth, or the best there is: a trajectory to measure errors against.
+    """A reference trajectory, against which errors are measured.
 
     stamp: (n,) int64 ns. latitude, longitude: (n,) rad. height: (n,) m.
     velocity: (n, 3) m/s north-east-down or None. yaw: (n,) rad clockwise from north or None.
@@ -114,7 +115,7 @@ class Speeds(_Samples):
     """Speed of the vehicle, from wheels or gearbox.
 
     stamp, received: (n,) int64 ns. speed: (n,) m/s, forward at the rear axle, negative in reverse.
-    variance: (n,) m^2/s^2, NaN or not above zero where the message does not tell.
+    variance: (n,) m^2/s^2, NaN or not above zero where the message has none.
     """
 
     stamp: np.ndarray
@@ -128,7 +129,7 @@ class Velocities(_Samples):
     """Velocity of the antenna over ground, from the GNSS receiver.
 
     stamp, received: (n,) int64 ns. velocity: (n, 3) m/s north-east-down. covariance: (n, 3, 3) m^2/s^2, north-east-down
-    too, with NaN or not above zero on the diagonal where the message does not tell.
+    too, with NaN or not above zero on the diagonal where the message has none.
     """
 
     stamp: np.ndarray
@@ -142,7 +143,7 @@ class Headings(_Samples):
     """Heading of the vehicle, from two antennas or a compass.
 
     stamp, received: (n,) int64 ns. yaw: (n,) rad clockwise from north, NaN where the message has none.
-    variance: (n,) rad^2, NaN or not above zero where the message does not tell.
+    variance: (n,) rad^2, NaN or not above zero where the message has none.
     """
 
     stamp: np.ndarray
@@ -155,8 +156,8 @@ class Headings(_Samples):
 class Pressures(_Samples):
     """Pressure of the air.
 
-    stamp, received: (n,) int64 ns. pressure: (n,) Pa. variance: (n,) Pa^2, NaN or not above zero where the message does
-    not tell.
+    stamp, received: (n,) int64 ns. pressure: (n,) Pa. variance: (n,) Pa^2, NaN or not above zero where the message
+    has none.
     """
 
     stamp: np.ndarray
@@ -170,7 +171,7 @@ class MagneticFields(_Samples):
     """Magnetic flux density where a magnetometer is.
 
     stamp, received: (n,) int64 ns. field: (n, 3) T, sensor axes. variance: (n,) T^2 of a component, NaN or not above
-    zero where the message does not tell.
+    zero where the message has none.
     """
 
     stamp: np.ndarray
@@ -184,7 +185,7 @@ class Twists(_Samples):
     """Velocity and turn rate of the vehicle in its own axes, forward-right-down, from odometry.
 
     stamp, received: (n,) int64 ns. twist: (n, 3) m/s forwards, m/s to the right, rad/s clockwise. variance: (n, 3) of
-    these, NaN or not above zero where the message does not tell.
+    these, NaN or not above zero where the message has none.
     """
 
     stamp: np.ndarray
@@ -195,7 +196,7 @@ class Twists(_Samples):
 
 @dataclass(frozen=True)
 class Displacements(Twists):
-    """Twists that are the mean between two poses in a row, stamped in the middle between both.
+    """Twists computed as the mean between two successive poses, with stamps in the middle between them.
 
     position: (n, 3) m and orientation: (n, 4) quaternion x, y, z, w, of the second pose as in its message. later: (n,)
     int64 ns, stamp of the second pose.
@@ -207,12 +208,12 @@ class Displacements(Twists):
 
 
 class Aiding(dict):
-    """What is measured besides the fixes, samples by the name of the measurement (`filter.measurements`)."""
+    """The inputs besides the fixes: samples by the name of the input (`filter.measurements`)."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One recording, read once. Absent parts are None. others: samples by name, of what has no field here."""
+    """One recording. Absent parts are None. others: samples by name, of the inputs that have no field here."""
 
     name: str
     imu: ImuSamples
@@ -225,12 +226,12 @@ class Recording:
     others: Mapping[str, _Samples] = field(default_factory=dict)
 
     def streams(self) -> dict[str, _Samples]:
-        """Its parts that are there, by name."""
+        """The parts that are not absent, by name."""
         parts = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ('name', 'others')}
         return {name: samples for name, samples in (parts | dict(self.others)).items() if samples is not None}
 
     def having(self, streams: Mapping[str, _Samples]) -> Recording:
-        """The recording with these parts in place of those of the same name."""
+        """The recording with `streams` in place of the parts of the same names."""
         own = {name: samples for name, samples in streams.items() if name in {f.name for f in fields(self)}}
         others = {name: samples for name, samples in streams.items() if name not in own}
         return replace(self, **own, others={**self.others, **others})

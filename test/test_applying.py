@@ -498,7 +498,7 @@ def test_the_node_begins_with_what_is_kept_and_does_what_a_user_asks(tmp_path, p
         assert asked('reject').success
         peer.spin_until(lambda: asked('report').message == 'nothing known yet')
         peer.connect(node, late)  # by the first sample
-        assert any('the filter is to go on with gnss.time_offset: 0.0 (before: 0.4)' in line for line in node.lines)
+        assert any('the filter will use gnss.time_offset: 0.0 (before: 0.4)' in line for line in node.lines)
 
 
 def test_what_an_analysis_finds_beside_an_applied_value_is_what_is_left():

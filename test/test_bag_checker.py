@@ -236,7 +236,7 @@ def test_fixes_that_are_none(sound):
     latitude[30] = longitude[30] = 0.0
     recording = with_fixes(sound, status=status, latitude=latitude, longitude=longitude)
     assert finding(recording, 'without a fix (status').values == {'count': 4}
-    assert finding(recording, 'no number or no place').values == {'count': 1}
+    assert finding(recording, 'not finite or impossible').values == {'count': 1}
     assert finding(recording, 'latitude 0, longitude 0').values == {'count': 1}
     assert not [f for f in check_recording(recording) if 'jumps' in f.message]
 

@@ -87,7 +87,7 @@ def test_params_file_holds_what_a_filter_needs(result):
     assert result.values['gyroscope.bias'] == pytest.approx(BIAS[3:], abs=3 * 8e-4 / np.sqrt(3600 / 120))
     assert result.values['accelerometer.bias'] == [0.0]  # cannot be told from tilt
     text = (result.out / 'imu.yaml').read_text()
-    assert text.count('#') > 15 and 'cannot be told from tilt' in text
+    assert text.count('#') > 15 and 'cannot be distinguished from tilt' in text
 
 
 def test_numbers_are_told_as_data_sheets_write_them(result):

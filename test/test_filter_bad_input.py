@@ -99,7 +99,7 @@ def test_a_covariance_that_says_nothing_becomes_the_default(fusion, covariance, 
     (level, text), = said(fusion)
     assert level == 'warning'
     assert text.startswith(f'/gps/fix: position_covariance (type {kind}) [{covariance[0]:g}, {covariance[1]:g}, .., ')
-    assert text.endswith('says nothing: gnss.default_sigma 3 m is used')
+    assert text.endswith('is not usable: gnss.default_sigma 3 m is used')
     assert kept(fusion)[-1, [Event.R_NN, Event.R_NE, Event.R_EE, Event.R_DD]] == pytest.approx([9, 0, 9, 36])
 
 
@@ -245,7 +245,7 @@ def test_acceleration_in_g_is_not_started_with(mechanization):
     imu = replace(recording.imu, specific_force=recording.imu.specific_force / STANDARD_GRAVITY)
     result = run(config, imu, recording.gnss)
     text = result.notices[-1].text
-    assert result.start is None and 'a believable specific force on /imu/data' in text
+    assert result.start is None and 'a possible specific force on /imu/data' in text
     assert "in g; set imu.acceleration_unit to 'g'" in text
 
 

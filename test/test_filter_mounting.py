@@ -125,7 +125,7 @@ def test_what_the_start_has_not_shown_is_not_driven_with_for_long(rpy, rate, beg
     assert np.median(errors.horizontal) < 5.0 and np.mean(later < 30.0) > 0.9
     said = ' '.join(n.text for n in result.notices)
     assert any(words in said for words in ('contradicted by the fixes', 'forward axis', 'backwards',
-                                           'the IMU was not right')), said
+                                           'the IMU was wrong')), said
 
 
 def test_what_no_car_does_is_said_with_the_parameters_that_are_its():
@@ -140,7 +140,7 @@ def test_what_no_car_does_is_said_with_the_parameters_that_are_its():
     # or fixes are refused that go on while the IMU shows a standstill
     fixes[:, Event.VERDICT], fixes[:, Event.Z_N] = Verdict.REFUSED, 3.0 * np.arange(20)
     said, = vehicle_warnings(result.memory, result.config, fixes)
-    assert 'the fixes go on while /imu/data shows a standstill' in said
+    assert 'the fixes move on while /imu/data shows a standstill' in said
     fixes[::4, Event.V_N] = 5.0  # not while it drives
     assert vehicle_warnings(result.memory, result.config, fixes) == []
 

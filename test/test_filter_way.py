@@ -81,7 +81,7 @@ def test_a_speed_that_is_not_the_vehicles_is_as_none(wrong):
     # one that always says zero repeats itself before it has made up a way
     verdict = Verdict.FROZEN if wrong == 'dead' else Verdict.CONTRADICTED
     assert counts.get(verdict, 0) > 0.7 * driven, counts
-    text = 'repeat themselves' if wrong == 'dead' else 'another way than the one between the fixes'
+    text = 'repeat themselves' if wrong == 'dead' else 'their integral differs from the displacement'
     assert any(text in notice.text for notice in result.notices)
 
 

@@ -326,7 +326,7 @@ def test_pressures_have_their_unit(tmp_path, name, factor):
     # and without a name of it by its size
     unnamed, said = read_pressure(write(tmp_path / 'u.csv', 'time,baro', [(T0, 1e5 / factor), (T0 + 1, 9e4 / factor)]))
     assert unnamed.pressure == pytest.approx([1e5, 9e4])
-    with pytest.raises(RecordingError, match='is no pressure of the air'):
+    with pytest.raises(RecordingError, match='is not an air pressure'):
         read_pressure(write(tmp_path / 'n.csv', 'time,baro', [(T0, 5.0), (T0 + 1, 5.0)]))
 
 
@@ -340,7 +340,7 @@ def test_a_magnetic_field_has_its_unit_and_the_axes_of_the_imu(tmp_path, unit, f
         fields, said = read_magnetometer(path, axes='back right up')
         assert fields.field == pytest.approx(np.tile([20e-6, 3e-6, -44e-6], (3, 1)), rel=1e-6, abs=1e-12)
         assert unit in said
-    with pytest.raises(RecordingError, match='are no magnetic field of the earth'):
+    with pytest.raises(RecordingError, match='are not the earth'):
         read_magnetometer(write(tmp_path / 'n.csv', 'time,x,y,z', [(T0, 5.0, 0.0, 0.0), (T0 + 1, 5.0, 1.0, 0.0)]))
 
 

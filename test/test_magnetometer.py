@@ -226,7 +226,8 @@ def test_what_cannot_be_is_said(slow):
         np.arange(100)[:, None] % 2, 1e6 * fields.field, np.nan), fields.variance)
     result = driven(slow, wrong)
     assert not (result.measured.kind == Kind.MAGNETIC).any()
-    assert any('uT is none of the earth: dropped (magnetometer.factor' in notice.text for notice in result.notices)
+    assert any('uT is outside 5 to 500 uT: dropped (a wrong magnetometer.factor' in notice.text
+               for notice in result.notices)
     # and a filter that does not ask for it has no states for its iron
     unasked = run(config(magnetometer_topic=''), slow.imu, slow.gnss, Measured(magnetometer=fields))
     assert any('magnetometer_topic is empty' in notice.text for notice in unasked.notices)

@@ -240,7 +240,7 @@ def test_simulate_makes_what_a_params_file_names(tmp_path):
     ({**REAR, 'rear.topic': ''}, "parameter 'rear.topic' is missing"),
     ({**REAR, 'rear.factor': 2.0}, "unknown parameter 'rear.factor'"),
     ({**REAR, 'rear.sigma': -1.0}, "parameter 'rear.sigma' must be at least 0"),
-    ({'inputs': ['gnss']}, "'gnss' is what other parameters are called"),
+    ({'inputs': ['gnss']}, "'gnss' is the prefix of other parameters"),
     ({'inputs': ['Rear axle']}, "parameter 'inputs' must have different names of small letters"),
     ({**REAR, 'inputs': ['rear', 'rear']}, "parameter 'inputs' must have different names"),
     ({'rear.topic': '/rear'}, "unknown parameter 'rear.topic'")])

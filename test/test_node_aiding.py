@@ -80,7 +80,7 @@ def test_kilometres_an_hour_and_hectopascals_are_named_with_the_factor(car, peer
         heard.wait(lambda d: 'set twist.factor to 0.2' in d.message('twist')
                    and 'set pressure.factor to 100' in d.message('pressure'))
         assert heard.level('twist') == heard.level('pressure') == 2
-        assert 'refused, not the way between the fixes' in heard.values('twist')
+        assert 'refused, its integral differs from the displacement between fixes' in heard.values('twist')
 
 
 def test_a_slow_robot_starts_by_its_magnetometer_and_iron_is_told(robot, peer):

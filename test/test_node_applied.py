@@ -54,7 +54,7 @@ def test_what_was_found_on_another_device_is_not_used(recording, kept, tmp_path)
         peer.play(node, part)
         # then that is said, and the filter goes on without
         peer.spin_until(lambda: any('another device than before' in line and NAME in line for line in node.lines))
-        assert any('the filter is to go on with gnss.time_offset: 0.0' in line for line in node.lines)
+        assert any('the filter will use gnss.time_offset: 0.0' in line for line in node.lines)
         node.send(signal.SIGINT)
         assert node.wait() == 0
     peer.close()
@@ -84,7 +84,7 @@ def test_a_drive_in_which_a_finding_is_dropped_has_the_bits_of_its_replay(record
         peer.connect(node, recording)
         peer.play(node, recording)
         # which drops it where the receiver has become another one,
-        assert any(f'{NAME} is not true any more: dropped' in line for line in node.lines)
+        assert any(f'{NAME} is no longer valid: dropped' in line for line in node.lines)
         degrees = {name: [math.radians(d) for d in np.degrees(getattr(recording.gnss, name)).tolist()]
                    for name in ('latitude', 'longitude')}
         same = replace(recording, reference=None, gnss=replace(recording.gnss, **{

@@ -116,8 +116,8 @@ def test_what_cannot_be_is_said():
     wrong = replace(pressure, pressure=np.where(np.arange(len(pressure)) % 2, 1013.0, np.nan))
     result = run(config(), recording.imu, recording.gnss, Measured(pressure=wrong))
     assert not (result.measured.kind == Kind.PRESSURE).any()
-    assert any('/pressure: pressure 1013 Pa is none of the air: dropped (pressure.factor' in notice.text
-               for notice in result.notices)
+    assert any('/pressure: pressure 1013 Pa is outside 40000 to 115000 Pa: dropped (a wrong pressure.factor'
+               in notice.text for notice in result.notices)
     # and a filter without a height says that it has none
     with pytest.raises(ParameterError, match="'pressure_topic' needs mechanization strapdown"):
         config(mechanization='planar')

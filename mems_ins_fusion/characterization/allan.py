@@ -17,9 +17,9 @@ from ..samples import runs
 FLICKER_MINIMUM = math.sqrt(2 * math.log(2) / math.pi)
 #: the Allan deviation of a first-order Gauss-Markov process peaks at this multiple of its correlation time
 GAUSS_MARKOV_PEAK = 1.8926
-#: share of the samples of an averaging window that must be there
+#: smallest share of the samples of an averaging window that must be present
 _PRESENT = 0.9
-#: averaging times in each octave
+#: number of averaging times in each octave
 _PER_OCTAVE = 4
 
 
@@ -41,7 +41,7 @@ class AllanCurve:
 
 @dataclass(frozen=True)
 class AllanParameters:
-    """Noise coefficients; None where the curve has no region that shows them.
+    """Noise coefficients; None where the curve has no region from which they can be read.
 
     noise_density (angle or velocity random walk N): unit/sqrt(Hz). bias_instability B: unit, at
     bias_instability_tau s. random_walk (rate random walk K): unit/sqrt(s). Each with one sigma.
@@ -122,7 +122,7 @@ def _slopes(tau, deviation):
     slopes = np.empty(len(x))
     for i in range(len(x)):
         near = np.abs(x - x[i]) <= reach
-        if near.sum() < 2:  # the first sizes, 1 and 2, are an octave apart
+        if near.sum() < 2:  # the first window sizes, 1 and 2, are an octave apart
             near = np.abs(x - x[i]) <= math.log(2) + 1e-9
         slopes[i] = np.polyfit(x[near], y[near], 1)[0] if near.sum() > 1 else -0.5
     return slopes
@@ -132,7 +132,7 @@ def degrees_of_freedom(points: int, m: int, slope: float) -> float:
     """Equivalent degrees of freedom of an overlapping Allan variance, NIST SP 1065, Table 5.
 
     points: number of integrated samples (samples + 1). m: window size. slope: of the deviation in log-log,
-    which tells the kind of noise: white below -1/4, flicker to +1/4, random walk above.
+    from which the kind of noise follows: white below -1/4, flicker up to +1/4, random walk above.
     """
     n = points
     if slope < -0.25:
@@ -154,7 +154,7 @@ def bounds(deviation, degrees):
 
 
 def allan_parameters(curve: AllanCurve) -> AllanParameters:
-    """The coefficients, each from the slope region that shows it and only where the bounds prove that region."""
+    """The coefficients, each from its region of the slope, and only where the confidence bounds prove that region."""
     white = _region(np.abs(curve.slope + 0.5) < 0.1, curve.degrees)
     density = density_sigma = None
     if white is not None:
@@ -169,8 +169,8 @@ def allan_parameters(curve: AllanCurve) -> AllanParameters:
 
 
 def _rise(curve):
-    """Indices of the minimum and the peak after it between which the curve certainly rises, and most; if it does not
-    rise for certain, twice that of the smallest deviation."""
+    """Indices of a minimum and a later peak between which the curve certainly rises, those with the largest rise. If it
+    certainly rises nowhere, twice the index of the smallest deviation."""
     ahead = np.maximum.accumulate(curve.lower[::-1])[::-1]
     minimum = int(np.argmax(ahead / curve.deviation))
     if ahead[minimum] <= curve.deviation[minimum]:
@@ -187,7 +187,7 @@ def _region(inside, weight):
 def _coefficient(curve, region, squared):
     """Square root of the weighted mean of `squared` over `region`, and its one sigma.
 
-    The points of one region come from the same samples, so the best of them sets the uncertainty.
+    The points of one region come from the same samples, so the uncertainty is that of the best of them.
     """
     value = math.sqrt(np.average(squared[region], weights=curve.degrees[region]))
     return value, value / math.sqrt(2 * curve.degrees[region].max())
@@ -208,6 +208,6 @@ def _random_walk(curve, minimum, density):
 
 
 def _correlation_time(curve, peak):
-    """From the hump after the minimum, if the curve certainly falls again behind it."""
+    """Correlation time from the peak after the minimum, if the curve certainly falls again after it."""
     falls = np.any(curve.upper[peak:] < curve.deviation[peak])
     return float(curve.tau[peak] / GAUSS_MARKOV_PEAK) if falls else None

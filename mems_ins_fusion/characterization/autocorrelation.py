@@ -1,7 +1,7 @@
 """Autocorrelation of a sensor at rest, and the Gauss-Markov process fitted to it (section 4.1 of the paper).
 
-The white noise stands in lag 0 alone, so the fit begins at lag 1: what it returns is the slow process. Removing the
-mean lowers the whole curve by the variance of that mean, which the fitted curve takes into account.
+White noise contributes to lag 0 only, so the fit begins at lag 1 and returns the slow process. Subtracting the mean
+lowers the whole curve by the variance of the mean; the fitted curve includes this.
 """
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..sensor_errors.models import GaussMarkov, simulate
 from .fitting import Estimate
 from .likelihood import Averages
 
-_REPLICAS = 60  # simulated recordings that give the standard deviations of a fit
+_REPLICAS = 60  # number of simulated recordings from which the standard deviations of a fit are computed
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def autocorrelation(parts, max_lag: int) -> np.ndarray:
 
 
 def ljung_box(values: np.ndarray, lags: int) -> float:
-    """p of the hypothesis that `values` (n,) are white, by the first `lags` lags, at most n / 5 of them.
+    """p-value of the hypothesis that `values` (n,) are white, from the first `lags` lags, at most n / 5 of them.
 
     G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65, 1978.
     """
@@ -69,8 +69,8 @@ def ljung_box(values: np.ndarray, lags: int) -> float:
 def fit_gauss_markov_autocorrelation(data: Averages) -> AutocorrelationFit:
     """Gauss-Markov fit to the autocorrelation of averages, with 95 % intervals from a parametric bootstrap.
 
-    The uncertainty is that of 60 simulated recordings of the same length with the fitted process: neighbouring lags
-    are almost perfectly correlated, and the residuals of the fit say nothing about it.
+    The uncertainty is the scatter of the fits to 60 simulated recordings of the same length with the fitted process.
+    The residuals of the fit do not show it, as neighbouring lags are almost perfectly correlated.
     """
     parts = data.centred()
     longest = max(len(p) for p in parts)
@@ -95,7 +95,8 @@ def _shape(lags, tau, duration):
 
 
 def _fit(values, lags, duration):
-    """sigma and tau by least squares: sigma^2 is linear, tau is searched. sigma is 0 where there is no slow process."""
+    """sigma and tau by least squares: sigma^2 is linear, tau is searched for. sigma is 0 if there is no slow process.
+    """
     from scipy.optimize import minimize_scalar
 
     def variance(tau):
@@ -114,7 +115,7 @@ def _fit(values, lags, duration):
 
 
 def _bootstrap(sigma, tau, white, interval, n, lags):
-    """Standard deviations of log(sigma) and log(tau); infinite where a replica lost the process."""
+    """Standard deviations of log(sigma) and log(tau); infinite if the fit to a replica finds no slow process."""
     if sigma <= 0:
         return math.inf, math.inf
     rng = np.random.default_rng(0)

@@ -3,8 +3,8 @@
 Signs as in Eq. 15: y(n) = -a_1 y(n-1) - ... - a_p y(n-p) + b_0 w(n), with w of unit variance.
 Source: S. M. Kay, Modern Spectral Estimation (1988), chapter 7.
 
-These fit whatever stands in the series, white noise included: on raw samples of a MEMS sensor that is the white
-noise. `likelihood.fit_autoregressive` separates the two.
+These methods fit the whole series, white noise included; in raw samples of a MEMS sensor the white noise dominates.
+`fitting.fit_autoregressive` separates the two.
 """
 from __future__ import annotations
 
@@ -35,12 +35,13 @@ class ArFit:
         return self.radius < 1
 
     def time_constant(self, interval: float) -> float:
-        """Of the slowest pole, s, for a series sampled at `interval` s; infinite where the model is not stable."""
+        """Time constant of the slowest pole, s, for a series sampled at `interval` s; infinite for an unstable model.
+        """
         return time_constant(self.coefficients, interval)
 
 
 def time_constant(coefficients, interval: float) -> float:
-    """Time in s in which the slowest part of an AR model sampled at `interval` s decays to 1/e."""
+    """Time, s, in which the slowest component of an AR model sampled at `interval` s decays to 1/e."""
     radius = _radius(coefficients)
     if radius >= 1:
         return math.inf
@@ -61,10 +62,11 @@ def segments(x) -> list[np.ndarray]:
 
 
 def yule_walker(x, order: int) -> ArFit:
-    """From the biased autocorrelation (always stable where no sample is missing; biased on short records).
+    """Yule-Walker method: from the biased autocorrelation. The model is stable if no sample is missing, and biased for
+    short records.
 
-    x: zero-mean series, or several whose samples are pooled; NaN where missing. Raises InputError where fewer than
-    order + 1 samples follow each other, as do the two other methods.
+    x: zero-mean series, or several whose samples are pooled; NaN where missing. Like the two other methods, it raises
+    InputError if there are not enough consecutive samples for the order.
     """
     from scipy.linalg import solve_toeplitz
 
@@ -93,7 +95,7 @@ def covariance(x, order: int) -> ArFit:
 
 
 def burg(x, order: int) -> ArFit:
-    """Burg: forward and backward prediction errors together; stable, and best on short records."""
+    """Burg method: minimizes forward and backward prediction errors together; stable, and best for short records."""
     return burg_all(x, order)[-1]
 
 
@@ -157,12 +159,12 @@ class OrderCurve:
     fpe: np.ndarray
 
     def elbow(self) -> int:
-        """Smallest order whose RMSE is within 1 % of the best: more states gain nothing."""
+        """Smallest order whose RMSE is within 1 % of the best: higher orders improve nothing."""
         return int(self.orders[self.rmse <= 1.01 * self.rmse.min()][0])
 
 
 def order_curve(training, held_out, max_order: int) -> OrderCurve:
-    """Burg models of orders 1..max_order fitted to `training` and judged on `held_out` (both zero-mean)."""
+    """Burg models of orders 1..max_order fitted to `training` and evaluated on `held_out` (both zero-mean)."""
     n = sum(len(r) for r in segments(training))
     fits = burg_all(training, max_order)
     orders = np.arange(1, max_order + 1)

@@ -1,8 +1,8 @@
-"""From a recording of a sensor at rest to the parameters of its error models, with everything needed to judge them.
+"""From a recording of a sensor at rest to the parameters of its error models, and their uncertainty.
 
-The order of things: the samples at rest are found; each axis gets its Allan deviation; each sensor gets the averaging
-interval at which its slow error is modelled, chosen by what it is for, the prediction through an outage; at that
-interval the three models are fitted together with the white noise, and compared on data they were not fitted to.
+The steps: find the samples at rest; compute the Allan deviation of each axis; choose for each sensor the averaging
+interval at which its slow error is modelled, by how well the models predict the error in an outage; fit the three
+models together with the white noise at this interval; compare them on data that they were not fitted to.
 """
 from __future__ import annotations
 
@@ -25,24 +25,27 @@ from .selection import Prediction, Recommendation, overall, predict, recommend, 
 from .stationary import Grid, Rest, StationaryError, axis_name, find_rest
 
 SENSORS = {'accelerometer': 'm/s^2', 'gyroscope': 'rad/s'}
-#: intervals that the models may be fitted at, s; a fit needs at least _FEWEST averages
+#: s, averaging intervals at which the models may be fitted
 INTERVALS = (1.0, 2.0, 5.0, 10.0)
+#: smallest number of averages for a fit. Chosen, not measured
 _FEWEST = 150
-#: intervals at which the time constant is shown, s
+#: s, averaging intervals for which the report shows the time constant of an AR(2)
 _SHOWN = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-#: a longer interval must predict an outage by this much better to be taken
+#: share by which a longer interval must predict an outage better to be chosen. Chosen, not measured
 _GAIN = 0.02
-_BURG_ORDERS = 10  # largest order of the curve that is shown
-#: bytes; 8 h at 100 Hz have 0.14 GB
+_BURG_ORDERS = 10  # largest order in the figure of Burg models
+#: bytes, largest size of an unpacked .npz file; 8 h at 100 Hz have 0.14 GB
 _LARGEST_NPZ = 10**9
 
 
 @dataclass(frozen=True)
 class IntervalStudy:
-    """What an AR(2) says depending on the averaging interval (s): the time constant (s) of its slowest pole, fitted
-    as it is (plain, Burg) and together with white noise (joint), and the white noise density of the latter.
+    """AR(2) fits as a function of the averaging interval (s): the time constant (s) of the slowest pole, fitted without
+    white noise (plain, Burg) and together with it (joint), and the white noise density of the joint fit.
+
     outage_rmse: error of the joint model's predicted mean over the longest horizon. The joint model is fitted to the
-    training part and judged on the rest. NaN: not done."""
+    training part and evaluated on the rest. NaN: not computed.
+    """
 
     interval: np.ndarray
     plain: np.ndarray
@@ -53,7 +56,7 @@ class IntervalStudy:
 
 @dataclass(frozen=True)
 class Axis:
-    """All about one axis; unit is that of the sensor.
+    """All results for one axis; unit is that of the sensor.
 
     mean: Estimate, gravity and tilt included for an accelerometer. slow, averages: the data at 1 s or the shortest
     interval and at the models' interval. estimators: AR fits of the averages by the three classical methods.
@@ -80,7 +83,7 @@ class Axis:
 
     @property
     def significant(self) -> bool:
-        """Whether there is a slow error beside the white noise."""
+        """Whether a slow error is significant beside the white noise."""
         return self.fits['random_walk'].significant or self.fits['gauss_markov'].significant
 
 
@@ -200,7 +203,8 @@ def _plain(averages):
 def _choose_interval(studies, prepared) -> int:
     """Factor of averaging on the 1 s means: the shortest interval that predicts outages as well as any.
 
-    Judged by the mean over the axes of log outage error of the joint model, so that no axis outweighs another.
+    The criterion is the mean over the axes of the logarithm of the joint model's outage error, so that all axes have
+    the same weight.
     """
     base = prepared[0].slow.interval
     count = min(np.isfinite(p.slow.z).sum() for p in prepared)
@@ -216,7 +220,7 @@ def _choose_interval(studies, prepared) -> int:
 def _try_orders(averages, orders):
     data, start = split(averages)
     fits = fit_autoregressive_orders(data.slice(0, start), orders)
-    if not any(fit.significant for fit in fits):  # higher orders of nothing
+    if not any(fit.significant for fit in fits):  # without a slow error, higher orders are not tried
         fits = fits[:1]
     return {fit.model.order: _judge(fit, data, start) for fit in fits}
 
@@ -248,7 +252,7 @@ def _finish(k, p, study, averages, tried, order, temperature) -> Axis:
 
 
 def _mean(averages, fit):
-    """Mean over the recording; its uncertainty as an estimate of the long-term level, slow error included."""
+    """Mean over the recording; its uncertainty is that of the long-term level, including the slow error."""
     space = state_space(fit.model, fit.noise_density, averages.interval)
     _, sigma = estimate_levels(averages, space)
     value, half = float(np.nanmean(averages.z)), 1.96 * float(np.nanmin(sigma))
@@ -256,7 +260,8 @@ def _mean(averages, fit):
 
 
 def _temperature_slope(averages, fit, temperature) -> Estimate | None:
-    """Generalized least squares on temperature, with the slow error as coloured noise; None without a spread."""
+    """Slope over temperature by generalized least squares, with the slow error as coloured noise; None if the
+    temperature is constant."""
     if temperature is None or averages.part.max() > 0:
         return None
     times = (np.arange(len(averages.z)) + 0.5) * averages.interval
@@ -276,7 +281,8 @@ def _temperature_slope(averages, fit, temperature) -> Estimate | None:
 
 
 def read_npz(path) -> Grid:
-    """A recording as npz: `acc_mps2` (n, 3), `gyro_radps` (n, 3), `rate_hz`; StationaryError where it is not."""
+    """Read a recording in npz format: `acc_mps2` (n, 3), `gyro_radps` (n, 3), `rate_hz`. Raises StationaryError for any
+    other file."""
     try:
         with zipfile.ZipFile(path) as archive:  # NumPy would also read a pickle or a single array
             size = sum(entry.file_size for entry in archive.infolist())

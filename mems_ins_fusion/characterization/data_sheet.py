@@ -5,7 +5,7 @@ import math
 
 from ..navigation.earth import STANDARD_GRAVITY
 
-#: of white noise and of biases: unit -> how many of it are one SI unit (m/s^2, rad/s; those per sqrt(Hz))
+#: units of white noise and of biases: unit -> number of these units in one SI unit (m/s^2, rad/s; or per sqrt(Hz))
 _WHITE = {'accelerometer': {'ug/sqrt(Hz)': 1e6 / STANDARD_GRAVITY, 'm/s/sqrt(h)': 60.0},
           'gyroscope': {'deg/sqrt(h)': math.degrees(60.0), 'deg/s/sqrt(Hz)': math.degrees(1.0)}}
 _BIAS = {'accelerometer': {'mg': 1e3 / STANDARD_GRAVITY}, 'gyroscope': {'deg/h': math.degrees(3600.0)}}

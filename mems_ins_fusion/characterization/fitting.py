@@ -1,8 +1,9 @@
 """Maximum likelihood fits of white noise plus each of the three sensor error models, with their uncertainty.
 
-Intervals are profile likelihood intervals (Wilks): the likelihood of a correlation time is far from a parabola when
-the recording holds only a few of them, and an interval from its curvature would be too short on the long side.
-A profile that does not fall before the end of the sensible range gives an open interval (0 or infinity).
+Intervals are profile likelihood intervals (Wilks): if the recording contains only a few correlation times, the
+likelihood of the correlation time is far from a parabola, and an interval from its curvature would be too short on the
+long side. If the profile does not fall by _DROP within the range that is searched, the interval is open (0 or
+infinity).
 """
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from .likelihood import Averages, autoregressive_space, log_likelihood, relative
 
 #: drop of the log likelihood at the ends of a 95 % interval: half the 0.95 quantile of chi-square, 1 degree
 _DROP = 1.9207
-#: a slow error is claimed where white noise alone would give such data less often than this
+#: p-value of white noise alone (likelihood ratio test) below which a slow error is significant
 SIGNIFICANCE = 0.001
 
 
@@ -80,8 +81,8 @@ def fit_white(data: Averages) -> Fit:
 def fit_random_walk(data: Averages, intervals: bool = True) -> Fit:
     """White noise plus random walk: noise_density and q.
 
-    intervals: whether to work out the 95 % intervals too. Raises InputError for fewer than 20 averages, as do the
-    other fits.
+    intervals: whether to compute the 95 % intervals. Like the other fits, it raises InputError for fewer than 20
+    averages.
     """
     _check(data)
 
@@ -154,8 +155,8 @@ def fit_autoregressive(data: Averages, order: int, intervals: bool = True) -> Fi
     """White noise plus AR(p) at the averaging interval of `data`: noise_density, a_1..a_p and b0.
 
     The reflection coefficients are fitted, so that the model is stable. The intervals come from the curvature of the
-    likelihood: in the Fisher transform of the reflection coefficients it is near a parabola. Where white noise alone
-    explains the data (not significant) there are none: the coefficients of nothing cannot be known.
+    likelihood: in the Fisher transform of the reflection coefficients it is nearly a parabola. If white noise alone
+    explains the data (not significant), there are no intervals, as the coefficients are not determined.
     """
     return fit_autoregressive_orders(data, [order], intervals)[0]
 
@@ -181,7 +182,8 @@ def _ar_space(data, t, density):
 
 
 def _ar_maxima(data, highest):
-    """The best (transformed reflection coefficients, log(b0/N)) of each order, which starts from the one below."""
+    """The best (transformed reflection coefficients, log(b0/N)) of each order; the search for an order starts from the
+    result of the order below."""
     slowest = math.atanh(math.exp(-data.interval / (10 * data.duration)))
     ratio_limits = (math.log(1e-3 * data.interval / data.duration), math.log(1e4))
     starts = [[-math.atanh(math.exp(-data.interval / tau)), 0.5 * math.log(share * 2 / tau)]
@@ -194,7 +196,7 @@ def _ar_maxima(data, highest):
         yield best, value
         starts = [[*best[:-1], k, best[-1] + shift] for k, shift in ((0.0, 0.0), (0.8, -1.0), (0.4, -0.5))]
         starts += _two_pole_starts(data, p + 1)
-        resonant = [[*best[:-1], -0.4, best[-1]]]  # a vibration that averaging folds to a fast oscillation
+        resonant = [[*best[:-1], -0.4, best[-1]]]  # for a vibration that is aliased to a fast oscillation by averaging
 
 
 def _two_pole_starts(data, order):
@@ -253,7 +255,8 @@ def _ar_intervals(data, t, density):
 
 
 def _covariance(cost, best, step=2e-3):
-    """Inverse of the Hessian of `cost` by central differences; infinite in directions that the data leave open."""
+    """Inverse of the Hessian of `cost` by central differences; infinite in directions that the data do not determine.
+    """
     d = len(best)
     e = step * np.eye(d)
     centre = cost(best)
@@ -280,17 +283,18 @@ def _profiles(cost, best, limits, names, indices=None):
 
 
 def _profile_end(cost, best, index, limits, curvature, side):
-    """Where the profile of parameter `index` has risen by _DROP on one side of the best; None beyond the limits."""
+    """Value of parameter `index`, on one side of the best, at which its profile has risen by _DROP; None beyond the
+    limits."""
     from scipy.optimize import brentq
 
     others = [i for i in range(len(best)) if i != index]
     bounds = [limits[i] for i in others]
     lowest = cost(best)
-    # how the others follow in a parabola: where each search of them begins, corrected by what the last one found
+    # start values of the other parameters: by the quadratic approximation, corrected by the result of the last search
     follow = np.clip(curvature[others, index] / curvature[index, index], -3, 3)
     state = {'off': np.zeros(len(others))}
 
-    @cache  # a second search may end elsewhere on a flat ridge, which a root finder cannot live with
+    @cache  # a repeated search may end at another point of a flat ridge, and a root finder needs one value
     def rise(value):
         def inner(t):
             full = np.empty(len(best))
@@ -316,8 +320,8 @@ def _profile_end(cost, best, index, limits, curvature, side):
 
 
 def _maximize(objective, starts, limits, always=()):
-    """The best of several starts: the two most promising and those of `always` searched roughly, the best to the end.
-    """
+    """The best maximum from several start values: a rough search from the two best ones and from those in `always`,
+    then a full search from the best result."""
     ranked = sorted((_clip(s, limits) for s in starts), key=objective, reverse=True)[:2] + list(always)
     _, rough = min((_minimize(lambda t: -objective(t), start, limits, 0.05) for start in ranked),
                    key=lambda pair: pair[0])
@@ -352,7 +356,8 @@ def _log_ratio_of_walk(data, share):
 
 
 def _ratio_limits(data):
-    """log(q/N): from a walk that is a thousandth of the last mean's white noise, to one that hides all white noise."""
+    """Limits of log(q/N): from a walk of a thousandth of the white noise of one mean to one that hides all white noise.
+    """
     return math.log(1e-3 / data.duration), math.log(1e3 / data.interval)
 
 
@@ -361,7 +366,7 @@ def _noise_limits(density):
 
 
 def _p_value(data, value, extra):
-    """Of white noise alone, likelihood ratio; conservative: chi-square with all extra parameters."""
+    """p-value of white noise alone, by the likelihood ratio; conservative: chi-square with all extra parameters."""
     from scipy.stats import chi2
 
     return float(chi2.sf(2 * max(value - fit_white(data).log_likelihood, 0.0), extra))

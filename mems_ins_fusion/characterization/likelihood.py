@@ -1,12 +1,12 @@
-"""White noise and a slow sensor error told apart: exact maximum likelihood on averaged samples.
+"""White noise and slow sensor error, estimated together: exact maximum likelihood on averaged samples.
 
 The samples are averaged over intervals of T seconds. A mean is
 
     z(k) = level + mean over the interval of the slow error x(t) + v(k),   v ~ N(0, N^2 / T)
 
-with white noise density N, a constant unknown level (one for each part between which the sensor was moved), and x a
-random walk, a first-order Gauss-Markov process or an AR(p) that steps once per interval. A Kalman filter gives the
-likelihood; the level is integrated out (restricted likelihood), so that removing the mean biases nothing.
+with white noise density N, a constant unknown level (a new one whenever the sensor was moved), and x a random walk, a
+first-order Gauss-Markov process or an AR(p) that steps once per interval. A Kalman filter gives the likelihood; the
+level is integrated out (restricted likelihood), which avoids the bias that subtracting the mean would cause.
 Sources: A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989), sections 3.4 and 4.3;
 P. de Jong, The diffuse Kalman filter, Annals of Statistics 19 (1991).
 """
@@ -143,8 +143,8 @@ def _innovations(z, part, a, q, c, r, p0):
 def _filter(z, part, a, q, c, r, p0, error, level, variance, states, vectors, matrices):
     """`_innovations` into error, level, variance (n,) of NaN and states (n, d), with room to work.
 
-    Once the covariance no longer changes it is left alone until the next missing average, and so is the answer to
-    the constant: most of a long recording costs one product with the transition matrix per average.
+    Once the covariance has converged, it is not updated until the next missing average, nor is the response to the
+    constant: most of a long recording costs one product with the transition matrix per average.
     """
     n, d = len(z), len(c)
     x, y, x_next, y_next = vectors[0], vectors[1], vectors[2], vectors[3]
@@ -287,7 +287,7 @@ def _sums(error, one, variance, part):
 
 
 def relative_likelihood(data: Averages, space: StateSpace) -> tuple[float, float]:
-    """Likelihood where `space` is right but for a common scale, and that scale at its best: (nats, scale)."""
+    """Log likelihood maximized over a common scale of all amplitudes in `space`, nats, and that scale."""
     squares, log_variance, log_information, n, parts = _terms(data, space)
     if not squares > 0:
         return -math.inf, 0.0

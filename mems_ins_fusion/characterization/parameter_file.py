@@ -1,4 +1,4 @@
-"""A characterization as parameters of the filter: the YAML that every tool loads, each value with its origin."""
+"""A characterization as parameters of the filter: the YAML file for all tools, with the origin of each value."""
 from __future__ import annotations
 
 import math
@@ -13,15 +13,15 @@ from .fitting import Estimate
 
 #: significant digits of the values in the file
 _DIGITS = 4
-#: the same of AR coefficients: with poles near the unit circle they need more
+#: significant digits of AR coefficients: with poles near the unit circle they need more
 _COEFFICIENT_DIGITS = 10
 
 
 def axis_models(axis: Axis, duration: float) -> dict[str, Model]:
-    """The three models of one axis as the filter shall use them.
+    """The three models of one axis with the parameters that the filter is to use.
 
-    Where the recording shows no slow error, the random walk at the upper end of its interval, and the two others such
-    that they do the same over the recording: a filter that trusts a bias to be constant for ever cannot recover.
+    If the recording shows no slow error, the random walk is that at the upper end of its interval, and the two other
+    models are equivalent to it over the recording: a filter with a constant bias could not correct a wrong one.
     """
     if axis.significant:
         walk, gauss_markov = axis.fits['random_walk'].model, axis.fits['gauss_markov'].model
@@ -60,16 +60,16 @@ def parameters(c: Characterization) -> dict:
 
 
 def white_noise(axis, model):
-    """The white noise beside the recommended model; beside a random walk where there is no slow error."""
+    """The white noise of the fit with the recommended model, or with a random walk where there is no slow error."""
     fit = axis.fits[model]
     return (fit if fit.estimates else axis.fits['random_walk']).estimates['noise_density']
 
 
 def initial_sigma(c: Characterization, sensor: str) -> float:
-    """What one recording shows of the size of the turn-on bias.
+    """Size of the turn-on bias, as far as one recording shows it.
 
-    Gyroscope: the RMS of the three mean rates. Accelerometer: the mean specific force against gravity, the one
-    component of the bias that a sensor at rest shows; at least the slow error.
+    Gyroscope: the RMS of the three mean rates. Accelerometer: the magnitude of the mean specific force minus gravity,
+    as only the vertical component of the bias shows at rest; but not less than the slow error.
     """
     axes = c.of(sensor)
     slow = max(axis_models(a, c.duration)['gauss_markov'].sigma for a in axes)
@@ -88,7 +88,7 @@ def parameters_yaml(c: Characterization) -> str:
     for sensor, unit in SENSORS.items():
         axes = c.of(sensor)
         if sensor == 'accelerometer':
-            lines += ['    # accelerometer.bias is not here: at rest it cannot be told from tilt. What is known:',
+            lines += ['    # accelerometer.bias is not here: at rest it cannot be distinguished from tilt. Known is:',
                       f'    # mean specific force {c.gravity:.4f} m/s^2, standard gravity {STANDARD_GRAVITY} m/s^2']
         for name in (n for n in values if n.startswith(sensor)):
             lines += [f'    # {line}' for line in _origin(c, sensor, unit, axes, name.removeprefix(f'{sensor}.'))]
@@ -99,7 +99,7 @@ def parameters_yaml(c: Characterization) -> str:
 
 def _origin(c, sensor, unit, axes, name):
     quiet = [a.name[-1] for a in axes if not a.significant]
-    note = [f'no slow error was seen on {", ".join(quiet)}: there, the upper limit of what could be'] if quiet else []
+    note = [f'no slow error was found on {", ".join(quiet)}: there, the upper limit of its interval'] if quiet else []
     if name == 'noise_density':
         noise = [white_noise(a, c.model) for a in axes]
         return [f'{unit}/sqrt(Hz), beside {c.model.replace("_", " ")}: {_ranges(noise)}',
@@ -109,7 +109,7 @@ def _origin(c, sensor, unit, axes, name):
                 f'long-term level: {_ranges([a.mean for a in axes])}',
                 *_data_sheet(data_sheet.bias, sensor, [a.mean.value for a in axes])]
     if name == 'initial_sigma':
-        return [f'{unit}, size of the turn-on bias as far as one recording shows it',
+        return [f'{unit}, size of the turn-on bias, as far as one recording shows it',
                 *_data_sheet(data_sheet.bias, sensor, [initial_sigma(c, sensor)])]
     if name == 'random_walk.q':
         return [f'{unit}/sqrt(s): {_ranges([a.fits["random_walk"].estimates["q"] for a in axes])}', *note]
@@ -153,7 +153,7 @@ def _text(value, digits: int) -> str:
 
 
 def _number(value: float, digits: int) -> str:
-    """A text that YAML readers take for a floating-point number: with a point, also before an exponent."""
+    """`value` as text that YAML readers recognize as a floating-point number: with a point, also before an exponent."""
     text = f'{float(value):.{digits}g}'
     mantissa, e, exponent = text.partition('e')
     return (mantissa if '.' in mantissa else f'{mantissa}.0') + e + exponent

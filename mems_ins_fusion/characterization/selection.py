@@ -1,8 +1,8 @@
-"""Which model is right for this sensor? The one that predicts data best that it was not fitted to.
+"""Selection of the sensor error model: the one that best predicts data to which it was not fitted.
 
-The models are fitted to the first part of the recording and predict the rest, one interval ahead and further. What an
-outage of h seconds needs is the mean error over the coming h seconds: times h it is the velocity or heading error
-that prediction leaves. Differences of the log score between models are judged by their spread over blocks of time.
+The models are fitted to the first part of the recording and predict the rest, one interval ahead and further. For an
+outage of h seconds the mean of the sensor error over the coming h seconds matters: times h it is the error of velocity
+or heading. Differences of the log score between models are tested against their spread over blocks of time.
 """
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ..sensor_errors.models import Model
 from .autocorrelation import ljung_box
 from .likelihood import Averages, StateSpace, estimate_levels, innovations, predicted_states, state_space
 
-#: share of the recording that the models are fitted to
+#: share of the recording to which the models are fitted
 TRAINING = 0.6
 #: outage lengths of interest, s
 HORIZONS = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 #: difference of scores, in standard errors, from which a model counts as better
 _DECIDED = 2.0
-_BLOCKS = 20  # of the held-out data, whose scores are compared
-_LAGS = 20  # averages over which autocorrelations are tested
+_BLOCKS = 20  # number of blocks of the held-out data whose scores are compared
+_LAGS = 20  # number of lags up to which the autocorrelation is tested
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Recommendation:
-    """model: the simplest that none beats for certain. decided: whether that left just one. text: for a person."""
+    """model: the simplest one that no other significantly beats. decided: whether all others are significantly worse.
+    text: in words."""
 
     model: str
     decided: bool
@@ -61,7 +62,7 @@ def split(data: Averages) -> tuple[Averages, int]:
 
 
 def predict(data: Averages, start: int, name: str, model: Model | None, noise_density: float) -> Prediction:
-    """Run the filter of `model` through `data` (one part) and judge it from index `start` on."""
+    """Run the filter of `model` over `data` (one part) and evaluate its predictions from index `start` on."""
     space = state_space(model, noise_density, data.interval)
     level, _ = estimate_levels(data.slice(0, start), space)
     error, variance = innovations(data, space, level)
@@ -102,7 +103,7 @@ def _mean_output(space: StateSpace, h: int):
 
 
 def recommend(predictions: list[Prediction], significant: bool) -> Recommendation:
-    """The simplest model that the best one does not certainly beat. predictions: simplest first.
+    """The simplest model that the best one does not significantly beat. predictions: simplest first.
 
     significant: whether the recording shows a slow error at all.
     """
@@ -120,26 +121,27 @@ def recommend(predictions: list[Prediction], significant: bool) -> Recommendatio
 
 
 def smallest_unbeaten(predictions: list[Prediction]) -> int:
-    """Index of the first of `predictions`, simplest first, that the best does not certainly beat."""
+    """Index of the first of `predictions`, simplest first, that the best one does not significantly beat."""
     best = max(predictions, key=lambda p: p.score)
     return next(i for i, p in enumerate(predictions) if not _beats(best, p))
 
 
 def overall(by_axis: list[list[Prediction]]) -> str:
-    """The one model for all axes: the simplest that none beats on all of them together; same models on each."""
+    """One model for all axes: the simplest that no other beats on all axes together. by_axis: the same models for each.
+    """
     pooled = [_pooled([axis[i] for axis in by_axis]) for i in range(len(by_axis[0]))]
     return pooled[smallest_unbeaten(pooled)].name
 
 
 def _pooled(predictions):
-    """One prediction standing for several axes: their blocks side by side."""
+    """The predictions for several axes as one, with the blocks of all."""
     blocks = np.concatenate([p.block_scores for p in predictions])
     residual = np.concatenate([p.residual for p in predictions])
     return replace(predictions[0], score=float(blocks.mean()), block_scores=blocks, residual=residual)
 
 
 def _beats(best: Prediction, other: Prediction) -> bool:
-    """Whether the mean difference of the scores is certainly above zero, and worth a parameter (a nat in all).
+    """Whether the mean difference of the scores is significantly above zero, and at least a nat in total.
 
     Blocks of time vary independently.
     """

@@ -1,7 +1,7 @@
-"""Which samples of a recording show a sensor at rest: a uniform time grid, and the parts to keep.
+"""The samples of a recording in which the sensor is at rest: a uniform time grid, and the parts to keep.
 
-Three things spoil a recording: samples that are missing or stamped irregularly, knocks (the sensor is as before
-afterwards) and movements (it is not: its tilt, and so the level of its accelerometers, has changed).
+Three kinds of disturbance are handled: samples that are missing or stamped irregularly; knocks, after which the sensor
+is as before; and movements, after which its tilt, and so the level of its accelerometers, has changed.
 Missing samples and knocks leave holes (NaN) in a part; a movement begins a new part, with a level of its own.
 """
 from __future__ import annotations
@@ -13,25 +13,25 @@ import numpy as np
 from ..errors import InputError
 from ..samples import runs
 
-#: s, a longer gap in the stamps begins a new part
+#: s, longest gap in the stamps within a part; a longer one begins a new part
 LONGEST_HOLE = 60.0
-#: s, a shorter part at rest is not used
+#: s, shortest part at rest that is used
 SHORTEST = 60.0
-#: s, shortest window in which rest is judged
+#: s, shortest window in which rest is tested
 _WINDOW = 1.0
-#: samples, fewest of such a window
+#: smallest number of samples in such a window
 _WINDOW_SAMPLES = 50
-#: largest standard deviation of a window at rest, in those of the quiet windows
+#: largest standard deviation of a window at rest, as a multiple of that of the quiet windows
 _SPREAD = 2.0
 #: largest deviation from the mean of a window at rest, in standard deviations
 _PEAK = 7.0
-#: smallest step of the mean from one window to the next that is no slow error, in standard deviations of such steps
+#: smallest step of the mean from one window to the next that is not a slow error, in standard deviations of such steps
 _STEP = 8.0
-#: windows averaged on each side of a disturbance to see whether the level changed
+#: number of windows averaged on each side of a disturbance to find a change of the level
 _SIDE = 5
-#: s, a longer disturbance is called a vibration
+#: s, longest disturbance that the report calls a knock; a longer one is a vibration
 _LONG = 10.0
-#: windows averaged on each side of a shift of the level
+#: number of windows averaged on each side of a shift of the level
 _SHIFT_SIDE = 30
 
 
@@ -65,8 +65,8 @@ class Cut:
 @dataclass(frozen=True)
 class Rest:
     """parts: (start, stop) indices into the grid at rest, in order. holes: (n,) bool, samples in them to leave out.
-    cuts: what was cut out, for the report. shifts: (s, column, size) where the level shifted by far more than usual
-    and the samples were kept: the table may have tilted a little, or the sensor's bias jumped; nothing tells."""
+    cuts: what was cut out, for the report. shifts: (s, column, size) of large shifts of the level where the samples
+    were kept: either the table tilted a little or the bias of the sensor jumped; the samples do not show which."""
 
     parts: tuple[tuple[int, int], ...]
     holes: np.ndarray
@@ -77,9 +77,9 @@ class Rest:
 def to_grid(stamp: np.ndarray, values: np.ndarray) -> Grid:
     """Lay stamped samples on a uniform grid.
 
-    stamp: (n,) ns. values: (n, k). A stamp carries the delay of the driver on top of a steady sensor clock: several
-    samples in one burst are late, not missing. What counts is how far behind even the punctual samples are.
-    Raises StationaryError for fewer than 100 samples.
+    stamp: (n,) ns. values: (n, k). The sensor's clock is assumed to be steady, and the stamps to contain the delay of
+    the driver in addition: samples that come in a burst are late, not missing. Samples are missing where even the
+    smallest delays increase for good. Raises StationaryError for fewer than 100 samples.
     """
     if not len(stamp):
         raise StationaryError('there is no sample that could be used to characterize a sensor')
@@ -113,7 +113,7 @@ def _sample_interval(time):
 
 
 def _steps(time, interval):
-    """Samples missing before each sample but the first: permanent steps of the smallest delay ahead."""
+    """Number of samples missing before each sample but the first: permanent steps of the smallest delay after it."""
     from scipy.ndimage import minimum_filter1d
 
     window = max(5, round(1.0 / interval))
@@ -125,8 +125,8 @@ def _steps(time, interval):
 def find_rest(grid: Grid) -> Rest:
     """The parts at rest of at least SHORTEST s.
 
-    Judged in windows of a second or 50 samples, against the quiet windows of the same recording: their spread, peaks,
-    and steps of the level from one window to the next that the slow errors of a sensor do not make.
+    The test is made in windows of a second or 50 samples, relative to the quiet windows of the same recording: by the
+    spread, the peaks, and the steps of the level from one window to the next that are too large for a slow error.
     Raises StationaryError where the sensor is nowhere at rest for that long, or an axis delivers a constant.
     """
     size = max(round(_WINDOW * grid.rate), _WINDOW_SAMPLES)
@@ -183,7 +183,7 @@ def _quiet_spread(spread):
 
 
 def axis_name(k: int) -> str:
-    """Of the columns accelerometer x, y, z, gyroscope x, y, z."""
+    """Name of column k of accelerometer x, y, z, gyroscope x, y, z."""
     return f'{("accelerometer", "gyroscope")[k // 3]} {"xyz"[k % 3]}'
 
 
@@ -221,8 +221,8 @@ def _moved(smooth, a, b, floor):
     lag = b - a + _SIDE
     change = np.abs(smooth[b] - smooth[a - _SIDE])
     if not np.isfinite(change).all():
-        return False  # another disturbance is near; that one decides
-    # how far the sensor's own slow error gets meanwhile: as a random walk from one stretch of windows to the next
+        return False  # another disturbance is near; the decision is made there
+    # change of the sensor's slow error in this time: a random walk from one stretch of windows to the next
     usual = _typical(smooth[_SIDE:] - smooth[:-_SIDE]) * np.sqrt(lag / _SIDE)
     return bool((change > _STEP * np.maximum(usual, floor)).any())
 

@@ -16,17 +16,17 @@ Measure filters of any kind as replay_node measures this package's: errors with 
 
   bench prepare --bag drive --output drive_bench
 
-writes the recordings for them: as it is, with fixes withheld, and changed in ways that an answer must follow (stamps a
-microsecond later, the world turned by 90 degrees, mirrored, half the IMU's rate). Each filter is run on each, and its
-answers are put into a folder: NAME/ (a bag with nav_msgs/Odometry), NAME.tum, NAME.nav (KF-GINS) or NAME.csv. Then
+writes the recordings for them: the original, with fixes withheld, and with changes that the output must follow (stamps
+a microsecond later, the world turned by 90 degrees, mirrored, half the IMU's rate). Run each filter on each recording,
+and put its outputs into a folder: NAME/ (a bag with nav_msgs/Odometry), NAME.tum, NAME.nav (KF-GINS) or NAME.csv. Then
 
   bench drive_bench --filter ekf=ekf_answers --params-file my_car.yaml --output result
 
-measures them, and this package's own filter with the params file. The answers are positions of the IMU (base_link).
-How, and numbers: docs/bench.md."""
+measures them, and this package's own filter with the params file. The outputs are positions of the IMU (base_link).
+Method and numbers: docs/bench.md."""
 
 PREPARE = """\
-Write the recordings of a bench: for filters that others wrote, and for this package's. Also bench.json and truth.csv,
+Write the recordings of a bench, for other filters and for that of this package. Also writes bench.json and truth.csv,
 which `bench` reads."""
 
 
@@ -38,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def prepare(options: argparse.Namespace) -> str:
-    """Write the recordings; lines for the user. InputError for bad options or input."""
+    """Write the recordings; returns lines for the user. Raises InputError for bad options or input."""
     from mems_ins_fusion.fleet import bench as work
     from mems_ins_fusion.reports.replay import read_part
     from mems_ins_fusion.results import result_folder
@@ -54,7 +54,7 @@ def prepare(options: argparse.Namespace) -> str:
 
 
 def bench(options: argparse.Namespace) -> str:
-    """Measure the filters; the table for the user. InputError for bad options or input."""
+    """Measure the filters; returns the table for the user. Raises InputError for bad options or input."""
     from mems_ins_fusion.fleet import bench as work
     from mems_ins_fusion.results import json_text, result_folder
 
@@ -82,16 +82,16 @@ def bench(options: argparse.Namespace) -> str:
 
 
 def _parser_of(argv: list[str]) -> tuple[Parser, list[str]]:
-    """The parser for `argv`, and what it is to parse."""
+    """The parser for `argv`, and the arguments that it is to parse."""
     return (_prepare_parser(), argv[1:]) if argv[:1] == ['prepare'] else (_parser(), argv)
 
 
 def _parser():
     parser = Parser('bench', DESCRIPTION)
     add = parser.add_argument
-    add('prepared', metavar='DIR', help='what bench prepare wrote')
-    add('--filter', action='append', default=[], metavar='NAME=FOLDER', help='a filter and its answers; repeatable')
-    parser.add_params_file('the parameters of this package\'s filter, which is measured, too')
+    add('prepared', metavar='DIR', help='output folder of bench prepare')
+    add('--filter', action='append', default=[], metavar='NAME=FOLDER', help='a filter and its outputs; repeatable')
+    parser.add_params_file('the parameters of this package\'s filter, which is measured as well')
     add('--output', required=True, metavar='DIR', help='folder for report.json')
     add('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'HEIGHT'), help='origin of local coordinates of the '
         'filters, deg and m (default: the first fix)')

@@ -1,4 +1,4 @@
-"""What every tool with ordinary options does alike: its options, its way to fail, its exit status."""
+"""Common code of all tools with ordinary options: option parser, error messages, exit status."""
 from __future__ import annotations
 
 import argparse
@@ -20,7 +20,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument('--version', action='version', version=VERSION)
 
     def parse_known_args(self, args=None, namespace=None):
-        # before what is missing: that is often what is written wrongly
+        # check for unknown options before missing ones: a missing option is often misspelled
         for word in sys.argv[1:] if args is None else args:
             option = word.partition('=')[0]
             if option.startswith('--') and option != '--' and option not in self._option_string_actions:
@@ -46,9 +46,9 @@ class Parser(argparse.ArgumentParser):
 
 
 def run(parser: Parser, work: Callable[[argparse.Namespace], str], argv: list[str] | None) -> int:
-    """Parse `argv` (None: the command line), print what `work` returns; the exit status.
+    """Parse `argv` (None: the command line) and print what `work` returns. Returns the exit status.
 
-    An InputError of `work` says in one line what is wrong with the options or the input.
+    An InputError in `work` is printed as one line, with exit status 2.
     """
     options = parser.parse_args(argv)
     try:

@@ -14,7 +14,7 @@ or recordings. Params files are replayed on the recording --bag, recordings with
 the epochs, and outages, that both have. Writes into the output folder: report.html, report.json, and the replays it had
 to make (first/ and second/)."""
 
-#: folders of the replays that had to be made
+#: folders of the replays that this tool makes
 PLACES = ('first', 'second')
 
 
@@ -24,7 +24,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def compare(options: argparse.Namespace) -> str:
-    """Read or replay both, compare and write the results; lines for the user. InputError for bad options or input."""
+    """Read or replay both, compare and write the results; returns lines for the user. Raises InputError for bad options
+    or input."""
     from mems_ins_fusion.reports import side_by_side
     from mems_ins_fusion.results import json_text, result_folder
 
@@ -61,7 +62,7 @@ def _kind(path: str) -> str:
 
 
 def _names(paths: list[str]) -> list[str]:
-    """The shortest ends of the two paths that differ."""
+    """The shortest trailing parts of the two paths that differ."""
     parts = [Path(path).absolute().parts for path in paths]
     for count in range(1, max(map(len, parts)) + 1):
         names = ['/'.join(p[-count:]) for p in parts]
@@ -94,7 +95,7 @@ def _parser():
     add('second', metavar='B', help='the other, of the same kind')
     add('--output', required=True, metavar='DIR', help='folder for the results')
     add('--bag', metavar='BAG', help='the recording that two params files are compared on')
-    parser.add_params_file('the filter that recordings are compared with, or what both params files lie over')
+    parser.add_params_file('the filter for two recordings, or the parameters below both params files')
     add('--reference-topic', metavar='TOPIC', help='the truth in the recordings (default: that of the params file, '
         'else withheld fixes)')
     add('--reference-file', metavar='FILE', help='the truth as CSV, TUM, NMEA or RTKLIB .pos')

@@ -1,4 +1,4 @@
-"""`compile`: the filter compiled ahead, so that no tool waits for the compiler."""
+"""`compile`: compiles the filter in advance, so that no tool waits for the compiler."""
 from __future__ import annotations
 
 import time

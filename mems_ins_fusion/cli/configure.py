@@ -9,10 +9,10 @@ from mems_ins_fusion.errors import InputError
 
 DESCRIPTION = """\
 Write the params file of a vehicle from a recording of a drive: which topics, in which units, how the IMU is mounted,
-noise and biases, time offset, receiver, constraints. Each value has its evidence and its sigma as a comment. What the
-recording does not show is said and left at its default. A minute or two with a standstill, a right-angled turn and
-some braking is enough for topics, units and mounting; the time offset takes five to fifteen minutes. Beside FILE.yaml
-a page FILE.html shows what was looked at. The method: docs/configure.md."""
+noise and biases, time offset, receiver, constraints. Each value has its evidence and its sigma as a comment. Values
+that the recording does not determine are reported and left at their defaults. A minute or two with a standstill, a
+right-angled turn and some braking is enough for topics, units and mounting; the time offset takes five to fifteen
+minutes. A page FILE.html beside FILE.yaml shows the data behind the values. The method: docs/configure.md."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -21,7 +21,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def configure(options: argparse.Namespace) -> str:
-    """Read, look and write; what was found, for the user. InputError for bad options or input."""
+    """Read the recordings and write the params file; returns the findings for the user. Raises InputError for bad
+    options or input."""
     from mems_ins_fusion.configuration.configure import configure as work
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings.errors import collected_warnings

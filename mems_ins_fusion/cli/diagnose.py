@@ -1,4 +1,4 @@
-"""`diagnose`: what the filter cannot explain in a recording, the effect behind it, and the error without it."""
+"""`diagnose`: finds errors that the filter's model does not explain, the effects that cause them, and corrections."""
 from __future__ import annotations
 
 import argparse
@@ -14,8 +14,8 @@ Diagnose a drive: run the filter as configured, find what it cannot explain, tra
 lacks (a time offset of the receiver, a lever arm, a scale factor, gravity through a tilted road, ...), add the effect,
 and measure the error before and after on data that the effect was not fitted to. Writes into the output folder:
 report.html, report.json and corrected.yaml, the parameters with the effects added, for --params-file of every tool.
-Several recordings of one vehicle are diagnosed together: what is found is one for all of them, and proven on drives, or
-parts of drives, that did not find it.
+Several recordings of one vehicle are diagnosed together: a finding is common to all of them, and is proven on drives,
+or parts of drives, to which it was not fitted.
 The method: docs/closing_the_loop.md; the effects: docs/effects.md."""
 
 
@@ -25,7 +25,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def diagnose(options: argparse.Namespace) -> str:
-    """Read, diagnose and write the results; the story for the user. InputError for bad options or input."""
+    """Read, diagnose and write the results; returns the answer for the user. Raises InputError for bad options or
+    input.
+    """
     from mems_ins_fusion.diagnosis.problem import DiagnosisError
     from mems_ins_fusion.reports.diagnosing import diagnose_drives, read_drive
     from mems_ins_fusion.reports.diagnosis import story
@@ -49,7 +51,7 @@ def diagnose(options: argparse.Namespace) -> str:
 
 
 def _parameters(options, kept: dict) -> dict:
-    """What the params file, `kept`, and the options give, by full name."""
+    """Parameters by full name: those of the params file, `kept`, and of the options."""
     given = dict(kept)
     asked = {'reference_topic': options.reference_topic, 'reference_file': options.reference_file,
              'start': options.start, 'stop': options.stop}

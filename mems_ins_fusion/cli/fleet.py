@@ -1,4 +1,4 @@
-"""`fleet`: many recordings of many vehicles, on one machine or on a cluster, and what changed in a vehicle."""
+"""`fleet`: processes many recordings of many vehicles, on one machine or a cluster, and finds changes in a vehicle."""
 from __future__ import annotations
 
 import argparse
@@ -10,21 +10,22 @@ from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.guard import INTERRUPTED
 
 TASKS = ('replay', 'configure', 'diagnose', 'characterize')
-#: lines of one kind on a terminal; all are in the tables
+#: largest number of lines of one kind on a terminal; the tables have all
 MOST = 10
-#: exit status of `fleet compare` where the second one is worse for certain
+#: exit status of `fleet compare` if the second fleet is certainly worse
 WORSE = 1
 
 DESCRIPTION = """\
 Do one task with many recordings of many vehicles. SOURCE is a folder, a glob, or a table (CSV, Parquet) with the
 columns vehicle, recording, params_file, reference; local, or any URL that fsspec reads. Writes into the output
 folder: tables (CSV, and Parquet where pyarrow is installed), fleet.html, each recording's result, and a history of each
-vehicle with what changed in it and when. What is done is not done again: an interrupted run goes on where it stopped.
+vehicle with its changes and their times. Finished recordings are not done again: an interrupted run continues where it
+stopped.
 
   fleet 'logs/*/*' --task replay --output out --vehicle-from 'logs/{vehicle}/*'
   fleet compare out_of_the_last_release out     exit status 1: worse for certain
 
-How it counts, clusters, batch systems, queries: docs/fleet.md."""
+Statistics, clusters, batch systems, queries: docs/fleet.md."""
 
 COMPARE = """\
 Compare two outputs of fleet --task replay: two releases, or two params files. Paired by recording, with intervals over
@@ -41,7 +42,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def fleet(options: argparse.Namespace, status: list[int]) -> str:
-    """Do what is asked for; lines for the user, and in `status` the exit status. InputError for bad options, input."""
+    """Process the recordings; returns lines for the user, and writes the exit status to `status`. Raises InputError for
+    bad options or input."""
     from mems_ins_fusion.fleet.run import Asked
     from mems_ins_fusion.fleet.run import run as do
     from mems_ins_fusion.parameters import params_file, table
@@ -92,7 +94,8 @@ def parse_shard(text: str) -> tuple[int, int]:
 
 
 def compare(options: argparse.Namespace, status: list[int]) -> str:
-    """Compare two fleets; lines for the user, and in `status` the exit status. InputError where that cannot be done."""
+    """Compare two fleets; returns lines for the user, and writes the exit status to `status`. Raises InputError if they
+    cannot be compared."""
     from mems_ins_fusion.fleet import gate
     from mems_ins_fusion.results import write_files
 
@@ -104,7 +107,7 @@ def compare(options: argparse.Namespace, status: list[int]) -> str:
 
 
 def _parser_of(argv: list[str]) -> tuple[Parser, list[str]]:
-    """The parser for `argv`, and what it is to parse."""
+    """The parser for `argv`, and the arguments that it is to parse."""
     return (_compare_parser(), argv[1:]) if argv[:1] == ['compare'] else (_parser(), argv)
 
 
@@ -113,15 +116,15 @@ def _parser():
     add = parser.add_argument
     add('source', metavar='SOURCE', help='folder, glob, or table (.csv, .parquet); path or URL')
     add('--task', required=True, choices=TASKS)
-    add('--output', required=True, metavar='DIR', help='folder for the results; goes on with what is there')
+    add('--output', required=True, metavar='DIR', help='folder for the results; an unfinished run there is continued')
     add('--vehicle-from', default='', metavar='PATTERN', help="where a path names the vehicle: 'logs/{vehicle}/*' "
         '(default: the folder that the recording stands in)')
     add('--params-file', default='', metavar='FILE', help='YAML with the parameters, where the table names none')
     add('--scheduler', default='local', metavar='WHERE', help='local, or the address of a Dask scheduler such as '
         'tcp://host:8786 (default %(default)s)')
     add('--workers', type=int, metavar='N', help='processes on this machine (default: its cores)')
-    add('--memory', type=float, default=1.0, metavar='GB', help='for each worker: a recording that takes more is not '
-        'done (default %(default)g, an hour at 100 Hz)')
+    add('--memory', type=float, default=1.0, metavar='GB', help='for each worker: a recording that takes more is left '
+        'out (default %(default)g, an hour at 100 Hz)')
     add('--shard', default='1/1', metavar='I/N', help='do the I-th of N parts, for batch systems; afterwards the same '
         'command without it merges them')
     add('--no-pages', action='store_true', help='no page for each recording: tables and fleet.html only')

@@ -1,4 +1,4 @@
-"""`import_csv`: an IMU log and a GNSS log in CSV to a recording."""
+"""`import_csv`: converts an IMU log and a GNSS log in CSV to a recording."""
 from __future__ import annotations
 
 import argparse
@@ -31,7 +31,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def import_csv(options: argparse.Namespace):
-    """Do what `options` ask for; yields lines that say what was done and what the bag checker found."""
+    """Convert the files in `options`; yields lines on what was done and what the bag checker found."""
     from mems_ins_fusion.configuration.check import check
     from mems_ins_fusion.filter.measurements.registry import TYPES
     from mems_ins_fusion.parameters import table
@@ -102,9 +102,9 @@ def import_csv(options: argparse.Namespace):
 
 
 def _formats(options) -> dict[str, str | None]:
-    """The preset of the IMU's and of the receiver's file: that which is asked for, or which the files show.
+    """The preset for the IMU's and for the receiver's file: as in `options`, or found from the files.
 
-    Where --imu is the folder of an export, its files take their places in `options`.
+    If --imu is the folder of an export, its files are written to `options`.
     """
     from mems_ins_fusion.recordings.log_formats import files_in, recognised
     from mems_ins_fusion.recordings.tables import read_table, read_text
@@ -124,13 +124,13 @@ def _formats(options) -> dict[str, str | None]:
     for kind in ('imu', 'gnss'):
         path = getattr(options, kind)
         named = path is None or getattr(options, f'{kind}_columns')
-        told = named or read_text(path, 'utf-8', 'replace')[:1] == '$'
-        found[kind] = None if told else recognised(read_table(path).names)
+        is_known = named or read_text(path, 'utf-8', 'replace')[:1] == '$'
+        found[kind] = None if is_known else recognised(read_table(path).names)
     return found
 
 
 def _with_preset(options, kind: str, preset: str | None) -> dict:
-    """The options of the file `kind`, imu or gnss: those of the preset, and over them those that are given."""
+    """The options of the file `kind`, imu or gnss: those that are given, else those of the preset."""
     from mems_ins_fusion.recordings import csv_columns
 
     found = dict(getattr(FORMATS[preset], kind)) if preset else {}

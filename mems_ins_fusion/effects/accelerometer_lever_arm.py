@@ -1,4 +1,4 @@
-"""Accelerometer lever arm: the accelerometers are not at the point that the track describes."""
+"""Accelerometer lever arm: the accelerometers are not at the point whose track is estimated."""
 from __future__ import annotations
 
 import numpy as np
@@ -10,7 +10,8 @@ from mems_ins_fusion.parameters.parameter import Parameter
 
 #: s, longest step between two samples over which an angular acceleration is computed
 LONGEST_STEP = 0.5
-#: s, over which it is averaged: of single samples it would multiply the gyroscopes' noise, and hide standstills
+#: s, time constant of the average of the angular acceleration. Without it the noise of the gyroscopes would be
+#: amplified and hide standstills
 SMOOTH = 0.1
 
 
@@ -54,7 +55,8 @@ class AccelerometerLeverArm(Effect):
 
 @njit
 def _angular_acceleration(stamp, w, last_stamp, last_rate, acceleration):
-    """Differences of `w` (n, 3) averaged over SMOOTH; the last three, of the sample before, are kept up to date."""
+    """Angular acceleration (n, 3), rad/s^2: differences of `w` (n, 3), rad/s, averaged over SMOOTH. last_stamp,
+    last_rate, acceleration: state after the previous sample, updated in place."""
     found = np.zeros_like(w)
     for k in range(len(w)):
         dt = (stamp[k] - last_stamp[0]) * 1e-9
@@ -70,7 +72,7 @@ def _angular_acceleration(stamp, w, last_stamp, last_rate, acceleration):
 
 
 def _cross(a, b):
-    """Cross product written out: the same bits for one sample and for many."""
+    """Cross product, written out so that one sample gives the same bits as many."""
     b = np.broadcast_to(b, a.shape)
     return np.stack([a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1], a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
                      a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]], axis=1)

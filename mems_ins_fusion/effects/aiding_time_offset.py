@@ -1,4 +1,4 @@
-"""Time offset of what is measured besides the fixes: wheels that report late, a velocity of another clock."""
+"""Time offset of the inputs besides the fixes, such as wheels that report late, or a velocity with another clock."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -13,8 +13,8 @@ class AidingTimeOffset(Effect):
     """A measurement of the input `of` stamped t describes the vehicle when the IMU's clock read t - time_offset,
     through a low pass of the time constant `lag`.
 
-    1 / (1 + lag s) is exp(-lag s) to first order: one that smooths is late, and is corrected as that. What is left,
-    lag^2 / 2 for each second derivative, no drive shows (0.3 s of a speed: 5 cm/s for a jerk of 1 m/s^3).
+    1 / (1 + lag s) is exp(-lag s) to first order: an input that smooths is late, and is corrected as late. The rest,
+    lag^2 / 2 times the second derivative, is too small to be seen (lag 0.3 s of a speed: 5 cm/s for a jerk of 1 m/s^3).
     """
 
     sizes = {'time_offset': ('stamped {} too late', 'stamped {} too early')}
@@ -46,13 +46,14 @@ class AidingTimeOffset(Effect):
 
 
 class SeveralTimeOffsets(Effect):
-    """Those of several inputs that are known beside any filter, set together: of two wheels that are both late, one
-    alone cannot be right. Estimated is only the share of the known sizes, 1 where they are right."""
+    """Time offsets of several inputs that are known without a filter, corrected together: if two inputs are late, the
+    correction of one alone would not agree with the other. Only a common factor of the known sizes is estimated; it is
+    1 where they are right."""
 
     signature = 'innovations along the track at each change of speed, in proportion to the acceleration'
-    in_words = 'several inputs are of another time than their stamps say'
+    in_words = 'the stamps of several inputs are off'
     to_check = 'what the drivers of these inputs stamp, and over how long they average'
-    sizes = {'share': ('{} of what the IMU shows', '{} the other way than the IMU shows')}
+    sizes = {'share': ('{} of the offsets that the IMU shows', '{} of the opposite of what the IMU shows')}
     parameters = (EffectParameter('share', '-', 1.0),)
 
     def __init__(self, sizes: Mapping[str, float]):
@@ -74,7 +75,7 @@ TIME_OFFSETS = (
                      'what the driver of the wheel speed stamps: the counting of the pulses or the arrival on the bus, '
                      'and over how long it averages'),
     AidingTimeOffset('velocity', 'innovations along and across the track in proportion to the acceleration',
-                     "the receiver's velocity is of another time than its fixes",
+                     "the stamps of the receiver's velocity are off against those of its fixes",
                      'whether the receiver smooths its velocity, and what its driver stamps'),
     AidingTimeOffset('twist', 'innovations along the track at each change of speed, in proportion to the acceleration',
                      'the odometry comes late',
@@ -89,7 +90,7 @@ TIME_OFFSETS = (
 
 
 def time_offset_of(name: str) -> AidingTimeOffset:
-    """That of the input called `name` in a params file."""
+    """The time offset of the input called `name` in a params file."""
     return AidingTimeOffset(name, 'innovations in proportion to how fast what it measures changes',
-                            f"the input '{name}' is of another time than its stamps say",
+                            f"the stamps of the input '{name}' are off",
                             f"what the driver of the input '{name}' stamps, and over how long it averages")

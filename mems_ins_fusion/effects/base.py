@@ -1,4 +1,4 @@
-"""What an effect is: something that real vehicles and sensors do and that the filter's model may lack."""
+"""Base class of the effects. An effect is a property of real vehicles or sensors that the filter's model may lack."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -11,11 +11,11 @@ from mems_ins_fusion.errors import InputError
 class EffectParameter:
     """One parameter of an effect.
 
-    unit: SI, '-' for a ratio. prior_scale: a size that would surprise nobody in the field, in that unit.
-    default: its value in a simulation that names only other parameters of the effect. variance: a standard deviation,
-    which shows in the innovations by its square. step: over which the innovations change about linearly, a tenth of
-    prior_scale where it is 0. adds_to: the parameter of the YAML that it is added to in order to take the effect out,
-    and the element of a list.
+    unit: SI, '-' for a ratio. prior_scale: a common size of the parameter, in this unit. default: its value in a
+    simulation that gives only other parameters of the effect. variance: whether the parameter is a standard deviation,
+    so that the innovations depend on its square. step: change of the parameter within which the innovations are about
+    linear in it; 0: a tenth of prior_scale. adds_to: parameter of the YAML to which the estimate is added to correct
+    the effect, with the index if that parameter is a list.
     """
 
     name: str
@@ -29,10 +29,10 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Sighting:
-    """What a direct look at a recording shows.
+    """An effect that was found directly in the samples of a recording.
 
-    parameters: those of the effect, name -> (value, sigma). text: the numbers and what they mean, without a full stop.
-    helps: settings with which the filter bears it, parameters of the YAML that differ from those it has.
+    parameters: parameters of the effect, name -> (value, sigma). text: the numbers and what they mean, without a full
+    stop. helps: parameters of the YAML to change so that the filter tolerates the effect.
     """
 
     parameters: dict[str, tuple[float, float]]
@@ -41,38 +41,40 @@ class Sighting:
 
 
 class Effect:
-    """One effect; each module of this package holds one and changes only the hooks it needs.
+    """One effect. Each module of this package contains one and overrides only the methods it needs.
 
-    Most effects are fitted: a diagnosis estimates what is `traced`. Some are seen, by a direct look at the recording
-    (`seen`); of these nothing is traced.
+    Most effects are fitted: a diagnosis estimates the parameters in `traced`. Some are found directly in the recording
+    (`seen`); these have no traced parameters.
 
-    The simulated half follows. `drive` is a `simulation.drive.Drive`, `values` the effect's parameters by name, `rng`
-    random numbers of the effect's own, started anew for each hook. Specific forces and angular rates are (n, 3) in body
-    axes `b`, in m/s^2 and rad/s, means over the interval before `drive.time`; times are s after the start of the drive.
+    The first methods are for simulations. `drive` is a `simulation.drive.Drive`, `values` the effect's parameters by
+    name, `rng` a random number generator for this effect alone, started anew for each method. Specific forces and
+    angular rates are (n, 3) in body axes `b`, in m/s^2 and rad/s, means over the interval before `drive.time`; times
+    are s after the start of the drive.
     """
 
     name: str = ''
     parameters: tuple[EffectParameter, ...] = ()
-    #: what of it stands in the YAML beyond the filter's own parameters: `parameters.Parameter`s
+    #: parameters in the YAML that belong to the effect alone: `parameters.Parameter`s
     settings: tuple = ()
-    #: for a reader of the report: what the residual shows, and what else shows the same
+    #: for the report: what the effect does to the innovations, and which other effects look the same
     signature: str = ''
-    #: for the people who build vehicles: what is wrong, what to check on the vehicle, and what a single drive may not
-    #: tell from it; without words it goes by its name
+    #: for the people who build vehicles: what is wrong (if empty, the name is used),
     in_words: str = ''
+    #: what to check on the vehicle,
     to_check: str = ''
+    #: and which other effects a single drive may not distinguish from it
     looks_the_same: str = ''
-    #: the size of a parameter in words, {} for the number: where it is above zero, and where below
+    #: the size of a parameter in words, with {} for the number: for a positive value, and for a negative one
     sizes: Mapping[str, tuple[str, str]] = {}
-    #: the largest size of each parameter that somebody has built, in its unit, and what a larger one stands for
+    #: the largest plausible size of each parameter, in its unit, and what the cause of a larger one is
     largest: Mapping[str, float] = {}
     larger_is: str = ''
-    #: the smallest size that is what it says, and what a smaller one is
+    #: the smallest size of each parameter that shows this effect, and what the cause of a smaller one is
     smallest: Mapping[str, float] = {}
     smaller_is: str = ''
-    #: sets of parameters that a diagnosis does not estimate but tries at these values; the best set is kept
+    #: sets of values of parameters that a diagnosis does not estimate but tries; the best set is kept
     tried: tuple[dict, ...] = ({},)
-    #: names of tried parameters that are estimated, too, once the effect is in the model
+    #: names of tried parameters that are estimated as well once the effect is in the model
     refined: tuple[str, ...] = ()
 
     @property
@@ -81,16 +83,16 @@ class Effect:
         return self.parameters
 
     def as_traced(self, values: dict) -> dict:
-        """What the effect, simulated with `values` (complete), comes to in the parameters that are estimated."""
+        """The parameters that are estimated, as they are for an effect simulated with `values` (complete)."""
         return values
 
     @property
     def principal(self) -> str:
-        """The parameter that is meant where a user gives one value for the effect."""
+        """Name of the parameter to which a single value for the effect belongs."""
         return self.parameters[0].name
 
     def complete(self, values: dict) -> dict:
-        """`values` with the defaults of the parameters it lacks; InputError for an unknown one."""
+        """`values` with the defaults of missing parameters. Raises InputError for an unknown parameter."""
         known = {p.name: p.default for p in self.parameters}
         for name in values:
             if name not in known:
@@ -98,27 +100,28 @@ class Effect:
         return {**known, **values}
 
     def alter_drive(self, drive, values):
-        """The drive as the vehicle makes it: for effects that turn the body on the same track."""
+        """The drive with the effect: for effects that rotate the body along the same track."""
         return drive
 
     def distort_imu(self, drive, specific_force, angular_rate, values, rng):
-        """What the sensors measure, before their own errors: specific force and angular rate."""
+        """Specific force and angular rate with the effect, before the errors of the sensors are added."""
         return specific_force, angular_rate
 
     def fix_times(self, time, values):
-        """The times that fixes stamped `time`, (m,) s, describe."""
+        """The times, (m,) s, that fixes stamped `time`, (m,) s, describe."""
         return time
 
     def measured_times(self, name, time, values):
-        """The times that measurements of the input `name` besides the fixes, stamped `time`, (m,) s, describe."""
+        """The times, (m,) s, that measurements of the input `name` (not the fixes), stamped `time`, (m,) s, describe.
+        """
         return time
 
     def measured_lag(self, name, values):
-        """Time constant, s, of a low pass that measurements of the input `name` come through."""
+        """Time constant, s, of a low pass on the measurements of the input `name`."""
         return 0.0
 
     def distort_fixes(self, drive, time, position, values, rng):
-        """What the receiver measures before its white noise: `position`, (m, 3) m in `n`, described at `time`."""
+        """Positions with the effect, before white noise is added. position: (m, 3) m in `n`. time: (m,) s."""
         return position
 
     def distort_samples(self, imu, values, rng):
@@ -126,64 +129,65 @@ class Effect:
         return imu
 
     def distort_speeds(self, speed, values):
-        """What the wheels measure before their own errors: `speed`, (m,) m/s."""
+        """Speeds with the effect, before the errors of the sensor are added. speed: (m,) m/s."""
         return speed
 
     def temperature(self, drive, values, rng):
-        """The sensor's temperature at `drive.time`, (n,) degrees Celsius, or None where it plays no part."""
+        """The sensor's temperature at `drive.time`, (n,) degrees Celsius; None if the effect does not depend on it."""
         return None
 
-    # The correcting half. `values` are the parameters of `parameters.table.check` from here on, `theta` those of the
-    # effect.
+    # From here on the methods are for diagnosis and correction. `values` are all parameters (`parameters.table.check`),
+    # `theta` those of the effect.
 
     def adjusted(self, values: dict, theta: dict) -> dict:
-        """The parameters with the effect's changed by `theta`: what `corrected.yaml` will hold. By default each of
-        `traced` is added to the parameter that it names."""
+        """The parameters with the correction of the effect by `theta`, as in `corrected.yaml`. By default each of
+        `traced` is added to the parameter in its `adds_to`."""
         for parameter in self.traced:
             if parameter.adds_to is not None:
                 values = added(values, *parameter.adds_to, change=theta[parameter.name])
         return values
 
     def replaces_model(self, theta: dict) -> bool:
-        """Whether `theta` is taken out by another mechanization, not by a parameter."""
+        """Whether the effect with `theta` is corrected by another mechanization, not by a parameter."""
         return False
 
     def applied(self, values: dict, recording, theta: dict, attitude=None):
-        """Parameters and recording as a filter would have to see them if `theta` were true: for the diagnosis.
+        """Parameters and recording for a filter that corrects the effect with `theta`: for the diagnosis.
 
-        attitude: called with the recording, it gives roll and pitch of the body, rad, at each IMU sample, 0 where not
-        known; for effects that need it.
+        attitude: function of the recording that returns roll and pitch of the body, rad, at each IMU sample, 0 where
+        they are unknown; for effects that need it.
         """
         return self.adjusted(values, theta), recording
 
     def hidden(self, values: dict, recording) -> str:
-        """Why this recording, filtered with these parameters, can say nothing about the effect; empty if it can."""
+        """Why this recording, filtered with these parameters, contains no information on the effect; empty if it does.
+        """
         return '' if self.traced else 'it is looked for in the data themselves, not in the innovations'
 
     def held(self, values: dict) -> dict:
-        """The parameters `values` for a filter that takes the effect as they say it is, where it would estimate it
-        itself: two filters that do go on as if both had been given the same value."""
+        """The parameters `values`, changed such that the filter uses the value of the effect in them instead of
+        estimating it. Otherwise two filters with different values would both converge to the same estimate."""
         return values
 
     def lasting(self, values: dict) -> float:
-        """s, for which fixes hold the same error as `values`, with the effect in them, say. Fixes that come sooner
-        after the last one used tell how well that error was followed, and not where the vehicle is."""
+        """Correlation time, s, of the errors of the fixes, for a filter with `values` that contain the effect. Fixes
+        that come sooner after the last one used have the same error, so they do not show where the vehicle is."""
         return 0.0
 
     def seen(self, values: dict, recording) -> Sighting | None:
-        """What a direct look at the recording shows of the effect; None where nothing, or where it is fitted."""
+        """The effect as found directly in the recording; None where it is not found, or is fitted."""
         return None
 
     def conditioning(self, values: dict):
-        """A (6, 6) matrix that takes the effect out of body-axis (f, w), or None where `values` have none of it."""
+        """A (6, 6) matrix that corrects (f, w) in body axes for the effect; None where it is zero in `values`."""
         return None
 
     def corrector(self, values: dict, rotation):
-        """What takes the effect out of samples as they arrive, or None where `values` have none of it.
+        """Function that corrects samples for the effect as they arrive; None where the effect is zero in `values`.
 
-        rotation: (3, 3) from sensor to body axes. Called as corrector(stamp (n,) int64 ns, f (n, 3), w (n, 3), celsius
-        (n,), NaN where unknown) with samples in sensor axes, one or many, which must give the same bits; returns f and
-        w. It remembers what it needs of earlier samples.
+        rotation: (3, 3) from sensor to body axes. The function is called as corrector(stamp (n,) int64 ns, f (n, 3),
+        w (n, 3), celsius (n,), NaN where unknown) with one or many samples in sensor axes and returns f and w. One call
+        with many samples must give the same bits as many calls with one; it keeps what it needs of earlier samples.
         """
         return None
 

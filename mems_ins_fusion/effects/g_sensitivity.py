@@ -11,8 +11,8 @@ class GSensitivity(Effect):
     """The vertical gyroscope reads x f_x + y f_y too much, body axes."""
 
     name = 'g_sensitivity'
-    signature = ('across-track innovations after changes of speed (x) and in bends (y), where a gyroscope '
-                 'scale looks alike')
+    signature = ('across-track innovations after changes of speed (x) and in bends (y); in bends a gyroscope scale '
+                 'factor error looks the same')
     in_words = 'the gyroscopes react to acceleration'
     to_check = 'the data sheet of the gyroscopes; vibration at the mount'
     largest = {'x': 0.01, 'y': 0.01}

@@ -1,4 +1,4 @@
-"""GNSS coloured noise: position errors (satellite orbits, atmosphere, multipath) last longer than one fix."""
+"""GNSS coloured noise: position errors (satellite orbits, atmosphere, multipath) that are correlated between fixes."""
 from __future__ import annotations
 
 import numpy as np
@@ -12,14 +12,14 @@ class GnssColouredNoise(Effect):
 
     name = 'gnss_coloured_noise'
     signature = ('innovations that keep their sign for longer than the filter needs to follow, whatever the '
-                 'vehicle does, standing still, too; small slow sensor errors look alike')
+                 'vehicle does, also at rest; small slow sensor errors look the same')
     in_words = 'the receiver\'s errors last for seconds to minutes'
     to_check = 'whether the receiver could have corrections (RTK, SBAS)'
     looks_the_same = 'several bad fixes in a row look the same'
     largest = {'sigma': 20.0}
     larger_is = 'fixes that are far off, or positions that the receiver smooths'
     smallest = {'tau': 1.0}
-    smaller_is = 'white noise, as it does not last from one fix to the next'
+    smaller_is = 'white noise, as it is not correlated from one fix to the next'
     parameters = (EffectParameter('sigma', 'm', 1.0, variance=True), EffectParameter('tau', 's', 60.0, default=60.0))
 
     tried = ({'tau': 10.0}, {'tau': 40.0}, {'tau': 160.0})

@@ -1,4 +1,4 @@
-"""GNSS lag: the receiver smooths its positions, which come late for it."""
+"""GNSS lag: the receiver smooths its positions, so they are late."""
 from __future__ import annotations
 
 import numpy as np
@@ -10,24 +10,24 @@ from mems_ins_fusion.parameters.parameter import Parameter
 class GnssLag(Effect):
     """The receiver passes its positions through a first-order low pass of time constant tau.
 
-    To second order every smoothing receiver says p(t - delay) - lag a(t): a low pass has the delay tau and the lag
-    -tau^2/2 (1/(1 + tau s) against exp(-tau s)), one that tracks the velocity (critically damped) no delay and the lag
-    tau^2. The delay is a time offset and is traced as one; the lag is what is traced here. It lasts for as long as the
-    acceleration and the receiver's filter do (`filter.trust.lag`).
+    To second order the position of every smoothing receiver is p(t - delay) - lag a(t). A low pass has the delay tau
+    and the lag -tau^2/2 (1/(1 + tau s) compared with exp(-tau s)); a receiver that tracks the velocity (critically
+    damped) has no delay and the lag tau^2. The delay is a time offset and is traced as such; here only the lag is
+    traced. The error decays with the receiver's filter after the acceleration has ended (`filter.trust.lag`).
     """
 
     name = 'gnss_lag'
-    signature = ('innovations along the track behind accelerations, across it in bends; what is late at constant '
-                 'speed, too, is a time offset')
+    signature = ('innovations along the track after accelerations, across it in bends; a delay at constant speed is a '
+                 'time offset')
     in_words = 'the receiver smooths its positions'
     to_check = 'the navigation filter setting of the receiver (dynamic model, position averaging, static hold)'
     looks_the_same = 'a receiver whose stamps are late looks nearly the same'
     parameters = (EffectParameter('tau', 's', 0.5),)
-    # how long it lasts changes with its size: that of a second is looked for, not of an instant
+    # the duration of the error depends on its size: with this step, the sensitivity is that of a filter with tau = 1 s
     traced = (EffectParameter('lag', 's^2', 0.25, step=1.0),)
-    settings = (Parameter('gnss.lag_per_acceleration', 0.0, 's^2', 'A receiver that smooths its positions: by how much '
-                          'they stay behind, m for each m/s^2 that lasts, beside gnss.time_offset; the square of its '
-                          'time constant.', minimum=-10.0,
+    settings = (Parameter('gnss.lag_per_acceleration', 0.0, 's^2', 'Lag of the positions of a receiver that smooths '
+                          'them, in addition to gnss.time_offset: m for each m/s^2 of constant acceleration; the '
+                          'square of the time constant of its filter.', minimum=-10.0,
                           maximum=10.0),)
 
     def as_traced(self, values):

@@ -1,4 +1,4 @@
-"""GNSS latency: how late the fixes are changes, at once or little by little."""
+"""GNSS latency: the delay of the fixes changes, suddenly or slowly."""
 from __future__ import annotations
 
 import math
@@ -7,19 +7,19 @@ import numpy as np
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter
 
-FOLLOWED = 60.0  # s within which a filter that knows should have followed a change
+FOLLOWED = 60.0  # s within which the filter's time offset state should follow a change
 
 
 class GnssLatency(Effect):
-    """A fix stamped t after the start describes t - drift t, and from `at` (part of the drive) on `step` earlier still.
+    """A fix stamped t after the start describes t - drift t, and from `at` (share of the drive) on `step` earlier.
 
-    Where in a drive the latency changes says nothing of the next one: what is traced and corrected is that it wanders,
-    the driving noise of a time offset that the filter estimates.
+    When the latency changes differs from drive to drive. So the changes themselves are not corrected: traced and
+    corrected is the random walk of the time offset that the filter estimates.
     """
 
     name = 'gnss_latency'
     signature = 'what a time offset does, of another size or sign in another part of the recording'
-    in_words = 'how late the fixes are changes during the drive'
+    in_words = 'the delay of the fixes changes during the drive'
     to_check = 'whether the receiver\'s driver stamps a fix when it arrives, and what else uses its serial line'
     parameters = (EffectParameter('step', 's', 0.1), EffectParameter('drift', '-', 2e-4),
                   EffectParameter('at', '-', 0.5, default=0.5))

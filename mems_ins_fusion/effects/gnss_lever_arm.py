@@ -10,8 +10,8 @@ class GnssLeverArm(Effect):
     """The antenna stands at (x, y, z) from the IMU, base_link (forward-left-up)."""
 
     name = 'gnss_lever_arm'
-    signature = ('innovations that keep their size in the vehicle and turn with it: seen in bends and at '
-                 'changes of heading; the same as accelerometers that stand elsewhere')
+    signature = ('innovations that are constant in the axes of the vehicle: seen in bends and at changes of heading; '
+                 'the same as an accelerometer lever arm')
     in_words = 'the antenna is not where the parameters say'
     to_check = 'the place of the antenna seen from the IMU, with a tape measure: forward, left, up'
     sizes = {'x': ('the antenna is {} further forward', 'the antenna is {} further back'),

@@ -1,4 +1,4 @@
-"""GNSS outliers: single fixes that are far off and do not say so, as of reflected signals."""
+"""GNSS outliers: single fixes that are off by far more than they claim, as with reflected signals."""
 from __future__ import annotations
 
 import numpy as np
@@ -8,17 +8,17 @@ from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import near
 from mems_ins_fusion.samples import in_time_order
 
-#: sigmas of the receiver by which an outlier is off the interpolation between its neighbours, at least
+#: smallest distance of an outlier from the interpolation between its neighbours, in standard deviations of the receiver
 SIGMAS = 5.0
-#: m/s^2, largest acceleration of a car, by which any fix may be off it
+#: m/s^2, largest acceleration of a car: by so much any fix may differ from the interpolation in addition
 HARDEST = 3.0
-#: s, longest interval between fixes that say something of each other
+#: s, longest interval between fixes that are compared
 LONGEST = 5.0
-#: outliers, fewest that are told
+#: smallest number of outliers that is reported
 FEWEST = 3
-#: gnss.robust_sigma with which the filter tolerates outliers: the default
+#: value of gnss.robust_sigma with which the filter tolerates outliers: the default
 ROBUST = 3.0
-#: gnss.gate_probability for that: the default
+#: value of gnss.gate_probability with which the filter tolerates outliers: the default
 GATE = 0.999999
 
 
@@ -26,8 +26,8 @@ class GnssOutliers(Effect):
     """A `share` of the fixes is off by `sigma`, on each axis, beyond what they claim."""
 
     name = 'gnss_outliers'
-    signature = ('single innovations many times as large as the others; a filter that believes them has jumps in its '
-                 'track and errors that come and go slowly')
+    signature = ('single innovations many times as large as the others; a filter that uses them has jumps in its track '
+                 'and errors that decay slowly')
     in_words = 'some fixes are far off (multipath)'
     to_check = 'the view of the sky and the ground plane of the antenna'
     parameters = (EffectParameter('share', '-', 0.02), EffectParameter('sigma', 'm', 20.0, default=20.0))
@@ -48,7 +48,7 @@ class GnssOutliers(Effect):
         return Sighting({'share': (share, share / np.sqrt(len(index))),
                          'sigma': (size, size / np.sqrt(2 * off.size))},
                         f'{len(index)} of {len(fixes)} fixes ({100 * share:.2g} %) are off by {size:.2g} m (RMS of an '
-                        'axis) from those before and after them, more than any vehicle moves and than they claim',
+                        'axis) from those before and after them: more than any vehicle moves, and more than they claim',
                         {name: value for name, value in self.adjusted(values, {}).items() if value != values[name]})
 
     def adjusted(self, values, theta):
@@ -58,10 +58,11 @@ class GnssOutliers(Effect):
 
 
 def far_off(fixes) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (k,) of the fixes that neither those before nor those after them nor both explain, and how far they are
-    off north and east, (k, 2) m, from the line between their neighbours.
+    """Indices (k,) of the outliers, and their distance from the line between their neighbours, north and east, (k, 2)
+    m.
 
-    A receiver that has jumped and stays there agrees with those after it.
+    An outlier is far from the lines through the two fixes before it, the two after it, and its neighbours. A fix after
+    which the receiver stays at the new position is none.
     """
     good = in_time_order(fixes.stamp, (fixes.status >= 0) & np.isfinite(fixes.latitude) & np.isfinite(fixes.longitude))
     if len(good) < 5:
@@ -81,7 +82,7 @@ def far_off(fixes) -> tuple[np.ndarray, np.ndarray]:
     between = line(-1, 1)
     least = np.min([np.linalg.norm(r, axis=1) for r in (between, line(-2, -1), line(1, 2))], axis=0)
     variance = 0.5 * (fixes.covariance[good, 0, 0] + fixes.covariance[good, 1, 1])[2:-2]
-    # what they scatter, whatever they claim
+    # scatter of the fixes, whatever they claim
     scatter = 1.4826 * np.median(np.abs(between), axis=0).mean() / np.sqrt(1.5)
     sigma = np.maximum(np.sqrt(np.where(variance > 0, variance, 0.0)), scatter)
     span = time[4:] - time[:-4]

@@ -1,4 +1,4 @@
-"""Gyroscope warm-up: after it is switched on the bias runs to its final value, where no temperature tells of it."""
+"""Gyroscope warm-up: after switch-on the bias drifts to its final value, and no temperature is measured."""
 from __future__ import annotations
 
 import numpy as np
@@ -12,7 +12,7 @@ class GyroscopeWarmUp(Effect):
 
     name = 'gyroscope_warm_up'
     signature = ('a drift of the estimated bias of the vertical gyroscope, fast at first, slow later; any slow error '
-                 'of the gyroscope looks alike')
+                 'of the gyroscope looks the same')
     in_words = 'the vertical gyroscope drifts in the first minutes, as one that warms up'
     to_check = 'whether a recording that begins some minutes after the IMU was switched on has it, too'
     looks_the_same = 'a heading or biases that the filter had to find first look the same'
@@ -20,9 +20,10 @@ class GyroscopeWarmUp(Effect):
     tried = ({'tau': 60.0}, {'tau': 300.0}, {'tau': 1200.0})
     refined = ('tau',)
     settings = (
-        Parameter('gyroscope.warm_up', 0.0, 'rad/s', 'Bias of w_z (body axes) at the first sample, which dies away as '
-                  'the sensor warms up.', minimum=-0.5, maximum=0.5),
-        Parameter('gyroscope.warm_up_time', 300.0, 's', 'Time constant of that.', positive=True, maximum=1e5))
+        Parameter('gyroscope.warm_up', 0.0, 'rad/s', 'Bias of w_z (body axes) at the first sample, which decays as the '
+                  'sensor warms up.', minimum=-0.5, maximum=0.5),
+        Parameter('gyroscope.warm_up_time', 300.0, 's', 'Time constant of gyroscope.warm_up.', positive=True,
+                  maximum=1e5))
 
     def distort_imu(self, drive, specific_force, angular_rate, values, rng):
         bias = values['z'] * np.exp(-(drive.time - drive.time[0]) / values['tau'])

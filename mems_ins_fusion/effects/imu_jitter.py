@@ -1,4 +1,4 @@
-"""Unevenly stamped IMU samples: the stamps are of their arrival, not of the measurement."""
+"""Unevenly stamped IMU samples: the stamps are times of arrival, not of measurement."""
 from __future__ import annotations
 
 from dataclasses import replace
@@ -8,19 +8,19 @@ import numpy as np
 from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
 from mems_ins_fusion.effects.imu_repeats import noisier
 
-#: intervals, smallest standard deviation of them that is told
+#: in sampling intervals: smallest standard deviation of the intervals that is reported
 SMALLEST = 0.1
-#: intervals, a longer one is a gap and does not count
+#: in sampling intervals: a longer interval is a gap and does not count
 _GAP = 5.0
-#: ns, between the stamps of simulated samples that arrive together
+#: ns, difference of the stamps of simulated samples that arrive together
 _CLOSEST = 50_000
 
 
 class ImuJitter(Effect):
-    """Samples are stamped late, each by another time: exponential with mean `sigma`, in order."""
+    """Samples are stamped late by random times: exponentially distributed with mean `sigma`, s, in their order."""
 
     name = 'imu_jitter'
-    signature = ('none that stands out: the sensors are noisier than characterized; fixes seem early by the mean '
+    signature = ('no clear one: the sensors are noisier than characterized; fixes seem early by the mean '
                  'delay')
     in_words = 'IMU samples are stamped unevenly'
     to_check = 'whether the driver can stamp with the sensor\'s own clock'
@@ -44,10 +44,10 @@ class ImuJitter(Effect):
         if scatter < SMALLEST * interval:
             return None
         sigma = scatter / np.sqrt(2)
-        # samples come in order: a late one holds back those after it, and intervals scatter by less than delays
+        # samples come in order: a late one delays those after it, and intervals scatter by less than delays
         held_back = 0.5 * (sigma / interval)**2
         return Sighting({'sigma': (float(sigma), float(sigma * np.hypot(held_back, len(step)**-0.5)))},
                         f'the intervals between IMU samples, {1e3 * interval:.3g} ms, scatter by '
                         f'{1e3 * scatter:.2g} ms: they are stamped on arrival. Let the driver stamp with the clock '
-                        'of the sensor; till then all other sensors seem early by about as much',
+                        'of the sensor; until then all other sensors seem early by about as much',
                         noisier(values, recording.imu, (sigma / interval)**2))

@@ -8,14 +8,14 @@ import numpy as np
 from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
 from mems_ins_fusion.sensor_errors.models import per_axis
 
-SMALLEST = 0.01  # share that is worth a word
+SMALLEST = 0.01  # smallest share of repeated samples that is reported
 
 
 class ImuRepeats(Effect):
     """A `share` of the samples repeats the one before it to the last digit."""
 
     name = 'imu_repeats'
-    signature = 'none that stands out: the sensors are noisier than characterized'
+    signature = 'no clear one: the sensors are noisier than characterized'
     in_words = 'IMU samples come twice'
     to_check = 'the rate of the IMU\'s driver and that at which the sensor measures'
     parameters = (EffectParameter('share', '-', 0.2),)
@@ -41,10 +41,10 @@ class ImuRepeats(Effect):
 
 
 def noisier(values: dict, imu, share: float) -> dict:
-    """The noise densities with that of samples of which this share is taken for the one before it.
+    """Noise densities with the white noise added that repeated samples cause. share: share of samples repeated.
 
-    What a sample misses of its change goes into one interval T: white noise of density share T times the mean square
-    change, which is above all vibration.
+    A repeated sample misses the change of one interval T. This is white noise with a density squared of share times T
+    times the mean square change, which is mostly vibration.
     """
     interval = (imu.stamp[-1] - imu.stamp[0]) * 1e-9 / (len(imu) - 1)
     raised = {}

@@ -1,4 +1,4 @@
-"""Mounting rotation: the IMU is turned in the vehicle by more than its declared mounting says."""
+"""Mounting rotation: the IMU is rotated in the vehicle beyond its declared mounting (misalignment)."""
 from __future__ import annotations
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter
@@ -16,7 +16,7 @@ class MountingRotation(Effect):
              'pitch': ('it is tilted {} more forward', 'it is tilted {} more backward'),
              'yaw': ('it is turned {} more to the left', 'it is turned {} more to the right')}
     largest = {'roll': 0.5, 'pitch': 0.5, 'yaw': 0.8}
-    larger_is = 'sensor axes that are not as imu.mounting_rpy says: let `configure` find them'
+    larger_is = 'sensor axes that are not those of imu.mounting_rpy: `configure` finds them'
     parameters = tuple(EffectParameter(angle, 'rad', 0.05) for angle in ('roll', 'pitch', 'yaw'))
     principal = 'yaw'
 
@@ -29,7 +29,7 @@ class MountingRotation(Effect):
     def hidden(self, values, recording):
         if values['vehicle.non_holonomic']:
             return ''
-        return 'only vehicle.non_holonomic says where forward is: without it the heading takes the rotation up'
+        return 'only vehicle.non_holonomic defines the forward axis: without it the heading contains the rotation'
 
     def held(self, values):
         estimated = values['vehicle.non_holonomic'] and values['imu.mounting_sigma'] > 0.0

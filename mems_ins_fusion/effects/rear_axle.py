@@ -5,7 +5,7 @@ from mems_ins_fusion.effects.base import Effect, EffectParameter
 
 
 class RearAxle(Effect):
-    """The rear axle stands at x from where vehicle.rear_axle says, base_link (forward-left-up)."""
+    """The rear axle is x m further forward than vehicle.rear_axle says."""
 
     name = 'rear_axle'
     signature = ('a sideways velocity of the IMU in proportion to the turn rate: with the non-holonomic constraint '

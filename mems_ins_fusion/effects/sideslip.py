@@ -9,8 +9,8 @@ class Sideslip(Effect):
     """Angle from the body's x axis to the velocity, clockwise, per lateral acceleration to the right."""
 
     name = 'sideslip'
-    signature = ('a heading that differs from the course in bends; only the non-holonomic constraint takes the '
-                 'course for it')
+    signature = ('a heading that differs from the course in bends; only the non-holonomic constraint assumes that '
+                 'both are equal')
     in_words = 'the vehicle moves sideways in bends'
     to_check = 'tyres and load; whether the IMU points straight ahead'
     looks_the_same = 'an IMU far from the rear axle looks nearly the same'
@@ -27,4 +27,5 @@ class Sideslip(Effect):
                              + values['angle_per_acceleration'])
 
     def hidden(self, values, recording):
-        return '' if values['vehicle.non_holonomic'] else 'only vehicle.non_holonomic takes the course for the heading'
+        return '' if values['vehicle.non_holonomic'] else (
+            'only vehicle.non_holonomic assumes that course and heading are equal')

@@ -8,8 +8,8 @@ class SpeedScale(Effect):
     """measured = (1 + scale) true."""
 
     name = 'speed_scale'
-    signature = ('in every gap between fixes the track comes out too long or too short; innovations along the track in '
-                 'proportion to speed, where a time offset looks alike')
+    signature = ('in every gap between fixes the track is too long or too short; innovations along the track in '
+                 'proportion to speed, as with a time offset')
     in_words = 'the wheels measure too much or too little'
     to_check = 'the size and pressure of the tyres'
     sizes = {'scale': ('{} too much', '{} too little')}

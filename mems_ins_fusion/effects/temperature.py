@@ -14,7 +14,7 @@ class Temperature(Effect):
 
     name = 'temperature'
     signature = ('a drift of the estimated sensor errors with the temperature; slow sensor errors of other '
-                 'origin look alike')
+                 'origin look the same')
     in_words = 'the bias follows the temperature'
     to_check = 'the place of the IMU (sun, engine), and its warm-up time'
     parameters = (
@@ -26,7 +26,7 @@ class Temperature(Effect):
                   '(body axes) with temperature.', lengths=(2,), minimum=-1.0, maximum=1.0),
         Parameter('gyroscope.temperature_coefficient', 0.0, 'rad/s/K', 'Growth of the bias of w_z (body axes) with '
                   'temperature.', minimum=-0.1, maximum=0.1),
-        Parameter('imu.reference_temperature', REFERENCE, 'degC', 'Temperature at which these are zero.',
+        Parameter('imu.reference_temperature', REFERENCE, 'degC', 'Temperature at which these biases are zero.',
                   minimum=-60.0, maximum=150.0))
 
     def temperature(self, drive, values, rng):

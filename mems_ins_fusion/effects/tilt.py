@@ -1,8 +1,8 @@
 """Tilt in motion: on hills, and on its suspension, the body pitches and rolls, and gravity leaks into f_x and f_y.
 
-Two things are told apart. What the suspension does goes with f_x and f_y themselves, and two parameters take it out.
-What the road does shows only in the other sensors of the same IMU: in the attitude of a strapdown run, which then is
-the correction, and needs no parameter.
+Two causes are distinguished. The tilt by the suspension is proportional to f_x and f_y themselves, and two parameters
+correct it. The tilt of the road can only be found with the other sensors of the IMU, in the attitude of a strapdown
+run: the correction is then the strapdown mechanization, and needs no parameter.
 """
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ SUSPENSION = ('pitch_per_acceleration', 'roll_per_acceleration')
 class Tilt(Effect):
     """Nose up by pitch_per_acceleration when speeding up, leaning outwards by roll_per_acceleration in a bend.
 
-    In the diagnosis also `compensation`: the part of gravity's leakage, computed from the attitude of a strapdown run
-    that the diagnosis hands in, that the planar filter's specific force contains. 1 says that the attitude explains it.
+    In the diagnosis there is also `compensation`: the factor on the gravity leakage, computed from the attitude of a
+    strapdown run of the diagnosis, that best explains the innovations of the planar filter. It is 1 if the attitude
+    explains them.
     """
 
     name = 'tilt'

@@ -28,15 +28,15 @@ from .metrics import Errors, Truth, position_errors, truth_from_fixes, turning_a
 from .outages import Distance, Outages, outage_begins, run_outages, smooth_outages
 from .outages import summary as outage_summary
 
-#: states are kept at this rate, beside those around the epochs of the truth, Hz
+#: Hz, rate at which states are kept, in addition to those around the epochs of the truth
 KEPT_RATE = 10.0
-#: epochs of the truth that errors are measured at, and states kept of a run: a recording with more is thinned
+#: largest number of epochs at which errors are measured, and of states kept of a run; longer recordings are thinned
 MOST_EPOCHS = 40_000
-#: s; stamps that go back further begin a stretch of their own
+#: s, largest step back of the stamps within a stretch; a larger one begins a new stretch
 _BACK = 1
-#: stretches, at most: with more of them each sample is kept
+#: largest number of stretches; if there are more, every sample is kept
 _MOST_BREAKS = 100
-#: a difference is significant when its adjusted p is smaller
+#: p-value, adjusted for the number of comparisons, below which a difference is significant
 SIGNIFICANCE = 0.05
 
 
@@ -46,8 +46,8 @@ class ReplayError(InputError):
 
 @dataclass(frozen=True)
 class RunResult:
-    """One run: the fixes used, its states at KEPT_RATE and around the truth's epochs, its errors and what sums them
-    up, and the number of IMU samples gone through. independent: the truth holds nothing of these fixes.
+    """One run: the fixes used, its states at KEPT_RATE and around the epochs of the truth, its errors and their
+    summary, and the number of IMU samples processed. independent: whether the truth contains none of these fixes.
     """
 
     model: str
@@ -62,7 +62,7 @@ class RunResult:
 
 @dataclass(frozen=True)
 class OutageResult:
-    """smoothed: the same outages of the smoothed trajectory, where that was asked for."""
+    """The outages of one model and one duration. smoothed: those of the smoothed trajectory, where it was asked for."""
 
     model: str
     interval: float
@@ -102,7 +102,7 @@ class Comparison:
     runs: list[RunResult]
     outages: list[OutageResult]
     pairs: list[PairResult]
-    fixes_given: dict[float, np.ndarray]  # to the runs of each interval: when they describe the vehicle, ns
+    fixes_given: dict[float, np.ndarray]  # by update interval: times of the fixes given to the runs, ns
     smoothed: list[RunResult] = field(default_factory=list)
 
     def run_of(self, model: str, interval: float) -> RunResult:
@@ -144,7 +144,7 @@ def cut(recording: Recording, start: float, stop: float) -> Recording:
 
 
 def add_noise(fixes: Fixes, sigma: float, seed: int) -> Fixes:
-    """`fixes` with white noise of `sigma` m on north and east, and with covariances that say so."""
+    """`fixes` with white noise of `sigma` m added to north and east, and its variance to their covariances."""
     if sigma == 0:
         return fixes
     noise = sigma * np.random.default_rng(seed).standard_normal((2, len(fixes)))
@@ -159,17 +159,17 @@ def add_noise(fixes: Fixes, sigma: float, seed: int) -> Fixes:
 
 
 def aiding_of(recording: Recording) -> Aiding:
-    """What the filter may use of `recording` besides its fixes."""
+    """The inputs in `recording` besides the fixes, for the filter."""
     return Aiding({name: samples for name, samples in recording.streams().items()
                    if name not in ('imu', 'gnss', 'reference', 'temperature')})
 
 
 def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
-    """Which of `fixes` to use, (n,) bool, so that from `start` (ns) on they are `interval` s apart; 0 uses each.
+    """Which of `fixes` to use, (n,) bool, so that from `start` (ns) on they are `interval` s apart; 0 uses all.
 
-    Before and at `start` each: the filter needs those to start, and the comparison is not about that. After it the
-    first valid one in each slot of `interval`; the slots begin half a fix interval early, against jitter. They are
-    counted from the first fix, so that filters that start at different times are given the same ones.
+    All fixes until `start` are used: the filter needs them to start, and the start is not compared. After it, the first
+    valid fix in each slot of `interval` is used; the slots begin half a fix interval early, because of jitter. They are
+    counted from the first fix, so that filters that start at different times get the same fixes.
     """
     valid = is_fix(fixes)
     if interval == 0 or valid.sum() < 2:
@@ -187,7 +187,7 @@ def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
 def truth_of(recording: Recording, values: dict) -> Truth:
     """The reference of `recording`, or its fixes (those of the receiver, before noise is added) without one.
 
-    Of more than MOST_EPOCHS positions every second, third ... is taken.
+    If there are more than MOST_EPOCHS positions, every second, third ... is used.
     """
     antenna = values['gnss.lever_arm']
     if recording.reference is None:
@@ -201,11 +201,12 @@ def truth_of(recording: Recording, values: dict) -> Truth:
 
 @dataclass(frozen=True)
 class Protocol:
-    """What is run on a recording and measured: the parameters of replay, in types.
+    """The runs and outages of one comparison: the parameters of a replay.
 
-    filters: by sensor error model, the first one is that of the start. intervals (ascending) and durations: s.
-    spacing: s, between the begins of outages. noise: m, added to the fixes, from `seed`. until: s, after which no fix
-    is given; 0: to the end. offset: ns, of the fixes' stamps. restart_gap: s, of the IMU.
+    filters: by sensor error model; the first one is used for the common start. intervals (ascending) and durations: s.
+    spacing: s between the begins of outages. noise: m, standard deviation of the noise added to the fixes, from `seed`.
+    until: s after which no fix is given; 0: to the end. offset: ns, time offset of the fixes. restart_gap: s, of the
+    IMU.
     """
 
     filters: dict[str, FilterConfig]
@@ -236,8 +237,8 @@ class Protocol:
 def compare(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None) -> Comparison:
     """Replay `recording` with each of `models`, at each of `update_intervals`, and in the outages.
 
-    values: checked parameters. progress: called from time to time with the part that is done; what it raises ends all.
-    Raises ReplayError where the filter does not start.
+    values: checked parameters. progress: called from time to time with the part that is done; an exception in it ends
+    the comparison. Raises ReplayError where the filter does not start.
     """
     protocol = Protocol.from_parameters(values)
     work = _Work(recording, protocol, truth_of(recording, values))
@@ -261,7 +262,7 @@ def compare(recording: Recording, values: dict, progress: Callable[[float], None
 
 
 class _Work:
-    """What all runs on one recording share."""
+    """Data that all runs on one recording share."""
 
     def __init__(self, recording: Recording, protocol: Protocol, truth: Truth):
         self.protocol = protocol
@@ -280,7 +281,7 @@ class _Work:
         self.start = self._start()
 
     def _start(self) -> int:
-        """When the filter starts with all fixes, as these are stamped, ns."""
+        """Time of the start of the filter with all fixes, ns, in the clock of the fixes."""
         every = self.fixes.select(thin(self.fixes, 0.0))
         run = replay(self.protocol.first, self.recording.imu, every, self.aiding, keep=self.keep)
         if not len(run.stamp):
@@ -321,7 +322,7 @@ class _Work:
         return model, interval, use, _without_views(run)
 
     def measure(self, runs) -> list[RunResult]:
-        """The errors of `runs`, all from the time on at which each of them had started."""
+        """The errors of `runs`, from the time on at which all of them had started."""
         first = max(self.until, *(run.stamp[0] for *_, run in runs))
         return [self._result(*run, first) for run in runs]
 
@@ -340,7 +341,8 @@ class _Work:
 
     def smoothed(self, runs: list[RunResult], begin: np.ndarray,
                  progress: Callable[[float], None]) -> tuple[list[RunResult], list[list[Outages]]]:
-        """The runs at the shortest interval, and the outages of each model, smoothed; nothing where not asked for."""
+        """The smoothed runs at the shortest interval, and the smoothed outages of each model; empty if not asked for.
+        """
         if not self.protocol.smoothing:
             return [], []
         keep = samples_to_keep(self.recording.imu, np.empty(0, dtype=np.int64))
@@ -373,7 +375,7 @@ class _Work:
                                                     Distance(run).at(errors.stamp))
 
     def _withheld(self, use: np.ndarray) -> np.ndarray:
-        """Which epochs of the truth are no fixes that the filter was given."""
+        """Which epochs of the truth are not fixes that the filter used."""
         stamp = self.truth.reference.stamp
         if self.recording.reference is not None or self.protocol.noise > 0:
             return np.ones(len(stamp), dtype=bool)
@@ -418,7 +420,7 @@ def samples_to_keep(imu: ImuSamples, epochs: np.ndarray) -> np.ndarray:
 
 
 def _without_views(run: Run) -> Run:
-    """`run` without the larger arrays that its own ones are parts of."""
+    """`run` with copies of its arrays, which are views of larger ones, so that the larger ones can be freed."""
     arrays = {f.name: getattr(run, f.name) for f in fields(run)}
     return replace(run, **{name: array.copy() for name, array in arrays.items()
                            if isinstance(array, np.ndarray) and array.base is not None})
@@ -433,7 +435,7 @@ def _common(found: list[list[Outages]]) -> list[list[Outages]]:
 
 
 def _pairs(runs: list[RunResult], outages: list[OutageResult]) -> list[PairResult]:
-    """Each two models at each interval and in the outages of each duration, judged together (Holm)."""
+    """All pairs of models at each interval and in the outages of each duration, tested together (Holm)."""
     found = []
     for a, b in combinations(runs, 2):
         if a.interval == b.interval and a.model != b.model:

@@ -1,9 +1,9 @@
-"""Confidence intervals: of the mean of errors that follow each other in time, of differences, and of shares.
+"""Confidence intervals of the mean of a time series of errors, of differences of means, and of shares.
 
-Neighbouring errors are alike, so they count for less than their number n: for n / tau, with tau the sum of the
+Successive errors are correlated, so n of them count as n / tau independent ones, with tau the sum of the
 autocorrelation (G. V. Bayley, J. M. Hammersley, "The effective number of independent observations in an autocorrelated
-time series", 1946), and outages that overlap for no more than those that do not. Student's t with as many values then
-holds from a handful of outages to hours of fixes.
+time series", 1946). Outages that overlap count as no more than those that do not. Student's t distribution with this
+number of values gives valid intervals from a handful of outages to hours of fixes.
 """
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import betainc, betaincinv, stdtr, stdtrit
 
 LEVEL = 0.95  # confidence of an interval
-#: fewer independent values say nothing of their scatter
+#: smallest number of independent values from which their scatter is estimated. Chosen, not measured
 FEWEST = 4.0
 
 
@@ -40,7 +40,7 @@ class Difference:
 
     @property
     def p(self) -> float:
-        """How often chance gives a mean as far from zero where there is no difference."""
+        """p-value: probability of a mean as far from zero if there is no difference."""
         if self.sigma == 0:
             return float(self.mean == 0)
         return float(2 * stdtr(self.count - 1, -abs(self.mean) / self.sigma))
@@ -61,11 +61,11 @@ def correlation_length(values: np.ndarray) -> float:
 
 
 def of_mean(values: np.ndarray, apart: float = np.inf) -> Difference | None:
-    """The mean of `values` (n,), a stationary series, with its standard error; None where it is too short to say, or
-    holds what is no number. apart: how many of them share no time, at most."""
+    """The mean of `values` (n,), a stationary series, with its standard error; None where it is too short, or contains
+    a value that is not finite. apart: largest number of values that share no time."""
     values = np.asarray(values, dtype=float)
     with np.errstate(over='ignore', invalid='ignore'):
-        if len(values) < FEWEST or not np.isfinite(values @ values):  # also: too large for their variance to be one
+        if len(values) < FEWEST or not np.isfinite(values @ values):  # also if the sum of squares overflows
             return None
     count = min(len(values) / correlation_length(values), apart)
     if count < FEWEST:
@@ -80,13 +80,13 @@ def interval_of_mean(values: np.ndarray, level: float = LEVEL) -> tuple[float, f
 
 
 def paired(first: np.ndarray, second: np.ndarray, apart: float = np.inf) -> Difference | None:
-    """Whether the means of two series (n,) of the same epochs differ, first minus second; None if too short to say."""
+    """Difference of the means of two series (n,) at the same epochs, first minus second; None if they are too short."""
     return of_mean(np.asarray(first, dtype=float) - np.asarray(second, dtype=float), apart)
 
 
 def interval_of_share(count: float, of: float, level: float = LEVEL) -> tuple[float, float]:
-    """Confidence interval of a probability of which `count` of `of` were seen (C. J. Clopper, E. S. Pearson, 1934);
-    numbers of independent events need not be whole."""
+    """Confidence interval of a probability, from `count` events in `of` independent trials (C. J. Clopper, E. S.
+    Pearson, 1934). The numbers may be fractional."""
     tail = 0.5 * (1 - level)
     low = float(betaincinv(count, of - count + 1, tail)) if count > 0 else 0.0
     high = float(betaincinv(count + 1, of - count, 1 - tail)) if count < of else 1.0
@@ -94,7 +94,8 @@ def interval_of_share(count: float, of: float, level: float = LEVEL) -> tuple[fl
 
 
 def p_of_so_few(count: float, of: float, share: float) -> float:
-    """How often `count` or fewer of `of` happen where each does with probability `share`; need not be whole numbers."""
+    """Probability of `count` or fewer events in `of` independent trials with the probability `share`. The numbers may
+    be fractional."""
     return float(betainc(of - count, count + 1, 1 - share)) if count < of else 1.0
 
 

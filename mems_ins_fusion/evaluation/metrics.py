@@ -1,7 +1,7 @@
-"""Position errors of a run against the truth, and the numbers that sum them up. Definitions: docs/metrics.md.
+"""Position errors of a run against the truth, and their summary. Definitions: docs/metrics.md.
 
-Errors are estimate minus truth, at the epochs of the truth, at the point it describes (an antenna, as a rule): the
-run's position is moved there by the lever arm. Trajectories are never aligned to each other.
+Errors are estimate minus truth, at the epochs of the truth and at the point that the truth describes (usually an
+antenna): the position of the run is moved to this point by the lever arm. Trajectories are never aligned.
 """
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ..recordings.motion import integral
 from ..samples import Fixes, ImuSamples, Reference
 from .intervals import interval_of_mean
 
-#: rad/s above which a vehicle is in a manoeuvre
+#: rad/s, turn rate above which a vehicle is in a manoeuvre
 TURN_RATE = np.radians(5.0)
-#: s before and after that belong to it
+#: s before and after a turn that belong to the manoeuvre
 TURN_MARGIN = 2.0
-#: slower than this a course says nothing, m/s
+#: m/s, smallest speed for which a course is computed
 SLOWEST_COURSE = 1.0
-#: s over which the way gives the course
+#: s over which the displacement gives the course
 COURSE_SPAN = 1.0
 #: 95 % of a chi-square distribution with 2 degrees of freedom
 NEES_95 = 5.991464547107979
@@ -34,11 +34,11 @@ PATH_LENGTHS, PATH_SPACING = tuple(range(100, 900, 100)), 1.0
 
 @dataclass(frozen=True)
 class Truth:
-    """What errors are measured against.
+    """The trajectory against which errors are measured.
 
     reference: positions of the point `lever_arm` (3,) m from the IMU, body axes forward-right-down. variance (m,): of
-    its north and of its east position, m^2 (0: taken as exact). source: in words. behind: whether it is what the
-    receiver said, which may smooth: that the filter knows by how much is no error of it.
+    its north and of its east position, m^2 (0: assumed exact). source: in words. behind: whether it consists of fixes
+    of a receiver that may smooth them; the lag for which the filter corrects is then not counted as an error.
     """
 
     reference: Reference
@@ -59,9 +59,9 @@ class Errors:
     """Errors of one run, (m,) each, at the epochs of the truth within the run.
 
     stamp: ns. north, east, along, cross: m, along and across the heading. sigma: m, the filter's horizontal standard
-    deviation, sqrt(P_nn + P_ee). variance: m^2, expected of the error on each axis, the truth's own in it. nees:
-    normalized error squared of the horizontal position. heading: rad, and speed: m/s, NaN where the truth has none.
-    turning: bool, in a manoeuvre.
+    deviation, sqrt(P_nn + P_ee). variance: m^2, expected variance of the error on each axis, including that of the
+    truth. nees: normalized error squared of the horizontal position. heading, rad, and speed, m/s: NaN where the truth
+    has none. turning: bool, in a manoeuvre.
     """
 
     stamp: np.ndarray
@@ -163,7 +163,8 @@ def turning_at(imu: ImuSamples, conditioning: np.ndarray, stamp: np.ndarray) -> 
     """Whether the vehicle is in a manoeuvre at each `stamp` (m,) ns: a mean turn rate over 1 s above TURN_RATE, then or
     within TURN_MARGIN.
 
-    From the gyroscopes, so that all models are judged by the same manoeuvres. conditioning: (6, 6), `FilterConfig`'s.
+    The turn rate is that of the gyroscopes, so that manoeuvres are the same for all models. conditioning: (6, 6), of
+    `FilterConfig`.
     """
     imu = usable_samples(imu)
     if len(imu) < 2:
@@ -171,7 +172,7 @@ def turning_at(imu: ImuSamples, conditioning: np.ndarray, stamp: np.ndarray) -> 
     time = (imu.stamp - imu.stamp[0]) * 1e-9
     rate = imu.angular_rate @ conditioning[5, 3:]
     yaw = integral(time, rate)
-    # only where there are samples: a clock that is set meanwhile makes the recording decades long
+    # only where there are samples: if a clock is set during a recording, it spans decades
     grid = np.unique(np.floor(10.0 * time)) / 10.0
     turn = np.abs(np.interp(grid + 0.5, time, yaw) - np.interp(grid - 0.5, time, yaw)) > TURN_RATE
     count = np.concatenate([[0], np.cumsum(turn)])
@@ -182,7 +183,7 @@ def turning_at(imu: ImuSamples, conditioning: np.ndarray, stamp: np.ndarray) -> 
 
 def truth_from_fixes(fixes: Fixes, lever_arm, time_offset: float, source: str) -> Truth:
     """Valid fixes as the truth for the antenna. lever_arm: (3,) m forward-right-down. time_offset: s, as
-    `gnss.time_offset`. Their variance is what the messages say (0 where they say nothing)."""
+    `gnss.time_offset`. Their variance is that in the messages (0 where the messages have none)."""
     fixes = fixes.select(is_fix(fixes))
     fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
     variance = 0.5 * (fixes.covariance[:, 0, 0] + fixes.covariance[:, 1, 1])
@@ -198,7 +199,7 @@ def rms(values) -> float:
 
 
 def summary(errors: Errors) -> dict:
-    """The numbers of one run for `report.json`; None where there is nothing to count."""
+    """The numbers of one run for `report.json`; None where they cannot be computed."""
     horizontal = errors.horizontal
     low, high = interval_of_mean(horizontal**2)
     quantile = {name: float(np.percentile(horizontal, q)) if len(horizontal) else None
@@ -222,9 +223,10 @@ def summary(errors: Errors) -> dict:
 
 
 def turned_by_course(stamp: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> np.ndarray:
-    """Heading error (m,), rad, of a truth that has none: how far the way over COURSE_SPAN is turned; NaN where slow.
+    """Heading error (m,), rad, for a truth without heading: rotation between the displacements over COURSE_SPAN of both
+    tracks; NaN where the vehicle is slow.
 
-    Both tracks (m, 2) are of the same point of the vehicle, so that neither sideslip nor mounting counts. stamp: ns.
+    Both tracks (m, 2) are of the same point of the vehicle, so that neither sideslip nor mounting matters. stamp: ns.
     """
     half = round(0.5e9 * COURSE_SPAN)
     last = np.clip(np.searchsorted(stamp, stamp + half), 0, len(stamp) - 1)
@@ -237,15 +239,16 @@ def turned_by_course(stamp: np.ndarray, truth: np.ndarray, estimate: np.ndarray)
 
 def relative_translation_percent(stamp: np.ndarray, truth: np.ndarray, estimate: np.ndarray, turned: np.ndarray,
                                  distance: np.ndarray) -> float | None:
-    """Relative translation error in percent of the path, mean over all paths of PATH_LENGTHS, a start each
-    PATH_SPACING s; None where no path is as long as that.
+    """Relative translation error in percent of the path length, mean over all paths with the lengths PATH_LENGTHS and a
+    start each PATH_SPACING s; None where the drive is shorter than the shortest path.
 
-    stamp (m,) ns, ascending. truth, estimate (m, 2): north and east, m. turned (m,): heading error, rad; NaN, where
-    the truth has no heading, takes the estimated heading for right, so that its error counts. distance (m,): driven
-    since the first epoch, m, never falling.
+    stamp (m,) ns, ascending. truth, estimate (m, 2): north and east, m. turned (m,): heading error, rad. Where it is
+    NaN the displacements are compared without a rotation, so that the heading error is part of the result. distance
+    (m,): driven since the first epoch, m, not decreasing.
 
-    Both displacements are seen from the vehicle at the start of the path, as in A. Geiger, P. Lenz, R. Urtasun, "Are
-    we ready for autonomous driving? The KITTI vision benchmark suite", 2012 (its development kit), in two dimensions.
+    Both displacements are expressed in the vehicle's axes at the start of the path, as in A. Geiger, P. Lenz, R.
+    Urtasun, "Are we ready for autonomous driving? The KITTI vision benchmark suite", 2012 (its development kit), in two
+    dimensions.
     """
     if not len(stamp):
         return None

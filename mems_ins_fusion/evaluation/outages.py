@@ -15,9 +15,9 @@ from ..samples import Aiding, Fixes, ImuSamples
 from .metrics import NEES_95, Errors, Truth, position_errors, rms
 from .verdict import Consistency
 
-#: the filter has run for this long before the first outage, s
+#: s for which the filter has run before the first outage
 SETTLING = 30.0
-#: in longer recordings they begin further apart
+#: largest number of outages; in longer recordings they begin further apart
 MOST_OUTAGES = 500
 
 
@@ -25,12 +25,12 @@ MOST_OUTAGES = 500
 class Outages:
     """The outages of one filter and one duration, (o,) each.
 
-    begin: ns, of the last fix used. max_error: m, the largest horizontal error. distance: m, driven meanwhile.
+    begin: ns, of the last fix used. max_error: m, the largest horizontal error. distance: m, driven in the outage.
     within: whether the error at the end (smoothed: in the middle) is inside the filter's own 95 % ellipse. time (g,): s
-    after the begin; growth (o, g): horizontal error then, m; sigma (o, g): the filter's horizontal standard deviation,
-    m. errors: of each. kept: m, the largest error had the vehicle kept the velocity that the filter knew at the begin:
-    what one has without an IMU. announced: s, for which the filter said at the begin that its error stays below
-    `horizon.limit` (NaN of smoothed ones); crossed: s, after which it was larger, inf where it never was.
+    after the begin; growth (o, g): horizontal error at these times, m; sigma (o, g): the filter's horizontal standard
+    deviation, m. errors: of each outage. kept: m, the largest error of a prediction with the velocity at the begin,
+    which needs no IMU. announced: s for which, by the trust horizon at the begin, the error stays below `horizon.limit`
+    (NaN for smoothed outages); crossed: s after which the error exceeded it, inf where it did not.
     """
 
     duration: float
@@ -48,7 +48,7 @@ class Outages:
 
     @property
     def apart(self) -> int:
-        """How many of them do not overlap, about: what goes wrong in one goes wrong in all that hold its time."""
+        """Approximate number of outages that do not overlap: overlapping outages have common errors."""
         return len(np.unique((self.begin - self.begin[0]) // round(self.duration * 1e9))) if len(self.begin) else 0
 
     def select(self, index: np.ndarray) -> Outages:
@@ -68,10 +68,10 @@ def outage_begins(first: int, fixes: Fixes, time_offset: float, spacing: float, 
                   longest: float = 0.0) -> np.ndarray:
     """Begins of outages, (o,) ns of the IMU's clock: fixes about `spacing` s apart.
 
-    They are counted from the first fix, so that every filter has the same ones, whenever it starts; in a recording so
-    short that none of `longest` s would then end in it, from the first one that may be. first: ns, of the first
-    estimate; the first outage begins SETTLING later at the earliest. shortest: s, the shortest duration, for which
-    there must be fixes after the last begin.
+    They are counted from the first fix, so that they are the same for every filter, whenever it starts. If no outage of
+    `longest` s would then end within the recording, they are counted from the first possible begin. first: ns, of the
+    first estimate; the first outage begins SETTLING later at the earliest. shortest: s, the shortest duration; there
+    must be fixes for this long after the last begin.
     """
     stamp = np.unique(fixes.stamp[is_fix(fixes)]) - round(time_offset * 1e9)
     possible = stamp[stamp >= first + round(SETTLING * 1e9)]
@@ -85,8 +85,8 @@ def outage_begins(first: int, fixes: Fixes, time_offset: float, spacing: float, 
 
 
 def _spaced(stamp: np.ndarray, spacing: float) -> np.ndarray:
-    """The first one of `stamp` in each interval of `spacing` s; where a clock jumps by years there are few. Of very
-    many, every second, third ..."""
+    """The first one of `stamp` in each interval of `spacing` s that has any. If they are more than MOST_OUTAGES, every
+    second, third ... of them."""
     _, index = np.unique(np.floor((stamp - stamp[0]) / (spacing * 1e9)), return_index=True)
     return stamp[index[::-(-len(index) // MOST_OUTAGES)]]
 
@@ -95,7 +95,7 @@ def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Trut
                 aiding: Aiding = Aiding(), keep: np.ndarray | None = None) -> list[Outages]:
     """The outages of each duration (s) that begin at `begin`, each the only one in its run.
 
-    aiding: what else is measured. keep: which IMU samples' states to look at, (n,) bool; they must surround the epochs
+    aiding: inputs besides the fixes. keep: IMU samples whose states are used, (n,) bool; they must surround the epochs
     of the truth.
     """
     run, coasting = run_with_outages(config, imu, fixes, begin, max(durations), aiding, keep)
@@ -104,8 +104,8 @@ def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Trut
 
 def outages_of(run: Run, coasting: Coasting, truth: Truth, durations, longest_gap: float,
                judged: float = 1.0) -> list[Outages]:
-    """The outages of each duration (s) that `coasting` holds; run: the ordinary one beside it. judged: in what part of
-    an outage `within` looks."""
+    """The outages of each duration (s) in `coasting`; run: the ordinary run. judged: part of the duration at which
+    `within` is evaluated (1: at the end)."""
     durations = sorted(durations)
     driven = Distance(run)
     rows = [slice(first, last) for first, last in zip(coasting.first[:-1], coasting.first[1:])]
@@ -119,7 +119,7 @@ def outages_of(run: Run, coasting: Coasting, truth: Truth, durations, longest_ga
 
 def smooth_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Truth, durations, begin: np.ndarray,
                    aiding: Aiding, keep: np.ndarray, run: Run) -> list[Outages]:
-    """The same outages smoothed: with the fixes that come after them. run: with all fixes."""
+    """The same outages, smoothed with the fixes that come after them. run: the smoothed run with all fixes."""
     results = []
     for duration in sorted(durations):
         coasting = smoothed_outages(config, imu, fixes, begin, duration, aiding, keep)
@@ -137,7 +137,7 @@ def _fitting(duration: float, coasting: Coasting, errors: list[Errors], truth: T
 
 
 def _kept(states: Run) -> Run:
-    """`states` with the velocity and the attitude of the first one kept."""
+    """`states` as if the vehicle had kept velocity and attitude of the first one."""
     if not len(states.stamp):
         return states
     seconds, (north, east) = (states.stamp - states.stamp[0]) * 1e-9, states.velocity[0, :2]
@@ -213,7 +213,8 @@ def summary(outages: Outages) -> dict:
 
 
 def _horizon(outages: Outages) -> dict:
-    """Medians of what was announced and of when the limit was crossed; None where it is not known, or most did not."""
+    """Medians of the announced times and of the times at which the limit was exceeded; None where they are unknown, or
+    most outages did not exceed it."""
     announced, crossed = float(np.median(outages.announced)), float(np.median(outages.crossed))
     known = not np.isnan(announced)
     return {'announced_s': announced if known else None, 'crossed_s': crossed if np.isfinite(crossed) else None,

@@ -1,6 +1,6 @@
-"""What was measured decides: whether a filter is better than another one, and whether its sigmas can be trusted.
+"""Decisions from measured errors: whether a filter is better than another one, and whether its sigmas can be trusted.
 
-Every tool takes its decision from here; the words are those of `reports.verdict`.
+All tools use these decisions. Their wording is in `reports.verdict`.
 """
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from .intervals import LEVEL, Difference, interval_of_share, of_mean, p_of_so_fe
 from .metrics import rms
 
 BETTER, SAME, WORSE, CANNOT_TELL, NOT_USABLE = 'better', 'same', 'worse', 'cannot_tell', 'not_usable'
-#: s without fixes, about, of the outages that a headline is about: a tunnel in a town
+#: s without fixes: a headline reports the outages whose duration is closest to this, a tunnel in a town
 HEADLINE = 30.0
-#: part of the error below which a difference, though certain, is felt by nobody
+#: share of the error: a smaller difference does not matter, even if it is significant. Chosen, not measured
 FELT_PART = 0.03
-#: m, the same
+#: m, the same as an absolute difference
 FELT = 0.01
-#: part of the error: two errors are the same where the interval of their difference is within it
+#: share of the error: two errors are the same if the confidence interval of their difference is within this. Chosen
 ALIKE_PART = 0.1
-#: m, the same
+#: m, the same as an absolute difference
 ALIKE = 0.05
 
 YES, NO, TOO_CAREFUL = 'yes', 'no', 'too_careful'
-#: share of errors that shall lie in the ellipse called 95 %
+#: nominal share of errors within the 95 % ellipse
 NOMINAL = 0.95
-#: sigmas can be trusted where the ellipse is known to hold the truth in this part: they are 1.6 times too small at most
+#: sigmas can be trusted if the ellipse certainly contains this share of the errors: they are too small by a factor of
+#: 1.6 at most
 HELD = 0.7
-#: ratio of the errors to what the sigmas say from which on, for certain, the sigmas are too small
+#: ratio of errors to sigmas: the sigmas are too small if it is certainly larger than this. Chosen, not measured
 TOO_LARGE = 1.2
-#: and below which they are larger than need be
+#: the same ratio: the sigmas are too large if it is certainly smaller than this. Chosen, not measured
 TOO_SMALL = 0.67
 #: normalized squared errors of two components have this mean where sigmas are right
 RIGHT = 2.0
@@ -67,31 +68,34 @@ class Change:
 
     @property
     def turned(self) -> Change:
-        """The same the other way round: before instead of after."""
+        """The change from after to before."""
         difference = self.difference and replace(self.difference, mean=-self.difference.mean)
         return replace(self, before=self.after, after=self.before, difference=difference)
 
     def sign(self, level: float = LEVEL) -> int:
-        """-1 where the error is smaller for certain, and by more than nobody would feel; 1 where larger; else 0."""
+        """-1 if the error has certainly become smaller, by more than FELT; 1 if it has certainly become larger; else 0.
+        """
         interval, felt = self.interval(level), max(FELT_PART * self.before, FELT)
         if interval is None or abs(self.after - self.before) <= felt:
             return 0
         return int(interval[0] > 0) - int(interval[1] < 0)
 
     def alike(self, level: float = LEVEL) -> bool:
-        """Whether the interval leaves no room for a difference that matters."""
+        """Whether the confidence interval excludes a difference that matters (ALIKE)."""
         interval = self.interval(level)
         return interval is not None and max(map(abs, interval)) <= max(ALIKE_PART * self.before, ALIKE)
 
 
 def change_in_outages(duration: float, before: np.ndarray, after: np.ndarray, apart: float, **known) -> Change:
-    """before, after: (o,) m, the largest errors of the same outages, of which `apart` do not overlap."""
+    """The change in outages. before, after: (o,) m, largest errors of the same outages, of which `apart` do not
+    overlap.
+    """
     return Change(duration, float(before.mean()), float(after.mean()), len(before), paired(after, before, apart),
                   **known)
 
 
 def change_with_fixes(before: np.ndarray, after: np.ndarray, **known) -> Change:
-    """before, after: (m,) m, errors at the same epochs."""
+    """The change with fixes. before, after: (m,) m, errors at the same epochs."""
     return Change(None, rms(before), rms(after), len(before), paired(after**2, before**2), **known)
 
 
@@ -99,9 +103,9 @@ def change_with_fixes(before: np.ndarray, after: np.ndarray, **known) -> Change:
 class Verdict:
     """Whether a filter is better than the one before.
 
-    answer: BETTER, SAME, WORSE, CANNOT_TELL, or NOT_USABLE where the data are wrong. changes: all of them; level: of
-    their intervals, so that all together hold in 95 of 100 cases. fitted_here: the new one was fitted to these very
-    data, which then prove no gain. why: what makes the data unusable.
+    answer: BETTER, SAME, WORSE, CANNOT_TELL, or NOT_USABLE where the data are wrong. changes: all changes. level:
+    confidence level of their intervals, such that all of them together hold in 95 of 100 cases. fitted_here: whether
+    the new filter was fitted to these data, which then prove no gain. why: what makes the data unusable.
     """
 
     answer: str
@@ -120,8 +124,8 @@ class Verdict:
 
     @property
     def shown(self) -> Change | None:
-        """The change for a headline: of what decided, else of all, the outages of about HEADLINE; errors with fixes
-        last."""
+        """The change for a headline: among the changes that decided, or else among all, the outages with a duration
+        closest to HEADLINE; errors with fixes come last."""
         decided = {BETTER: self.gains, WORSE: self.losses}.get(self.answer) or self.gains or self.changes
         known = [c for c in decided if c.difference is not None]
         return min(known or decided, key=lambda c: np.inf if c.duration is None else abs(np.log(c.duration / HEADLINE)),
@@ -129,8 +133,8 @@ class Verdict:
 
 
 def decide(changes: Iterable[Change]) -> Verdict:
-    """BETTER where an error that a user feels is smaller for certain and none is larger; WORSE the other way round;
-    SAME where none can have changed by what matters."""
+    """BETTER if some error is certainly smaller, by an amount that matters, and none is certainly larger; WORSE in the
+    opposite case; SAME if the intervals exclude any difference that matters; else CANNOT_TELL."""
     changes = tuple(changes)
     tested = [c for c in changes if c.difference is not None]
     level = 1 - (1 - LEVEL) / max(len(tested), 1)
@@ -146,27 +150,27 @@ def decide(changes: Iterable[Change]) -> Verdict:
     return Verdict(answer, changes, level)
 
 
-# whether a params file can be driven with
+# --- whether a params file is good enough to drive with ---
 
-#: s: a file whose time offset may be off by more, at two sigma, is not ready
+#: s: a file is not ready if a time offset in it may be off by more, at two sigma
 READY_OFFSET = 0.1
-#: rad, the same of a mounting angle; the place of the antenna is the user's to measure
+#: rad, the same for a mounting angle. The lever arm of the antenna is measured by the user
 READY_ANGLE = math.radians(3.0)
 
 
 def unsettled(left: Iterable[Remaining]) -> list[Remaining]:
-    """Of what recordings leave of the parameters: what keeps a file from being ready to drive with."""
+    """The remaining offsets in `left` because of which a params file is not ready to drive with."""
     most = {TIME_OFFSET: READY_OFFSET, **dict.fromkeys(ANGLES, READY_ANGLE)}
     return [one for one in left if not one.settled(most.get(one.name, math.inf))]
 
 
-# whether sigmas can be trusted
+# --- whether sigmas can be trusted ---
 
 @dataclass(frozen=True)
 class Consistency:
-    """Errors against sigmas. duration: s without fixes; None: with fixes. nees: (n,) normalized squared errors over
-    time, or their means over each outage. within: (n,) bool, whether each outage ends in the ellipse; None with fixes.
-    apart: how many of them share no time."""
+    """Errors relative to sigmas. duration: s without fixes; None: with fixes. nees: (n,) normalized squared errors over
+    time, or their means over each outage. within: (n,) bool, whether each outage ends within the ellipse; None with
+    fixes. apart: number of outages that share no time."""
 
     duration: float | None
     nees: np.ndarray
@@ -176,8 +180,8 @@ class Consistency:
 
 @dataclass(frozen=True)
 class Held:
-    """How often the 95 % ellipse held the truth at the end of outages of `duration` s: held of count. low, high: 95 %
-    interval of the share. p: how often honest sigmas hold as few."""
+    """Outages of `duration` s at whose end the 95 % ellipse contained the truth: held of count. low, high: 95 %
+    interval of the share. p: probability of so few with right sigmas."""
 
     duration: float
     held: int
@@ -189,8 +193,8 @@ class Held:
 
 @dataclass(frozen=True)
 class Scale:
-    """How many times as large as the sigmas say errors are, over time. duration: s without fixes; None: with fixes.
-    low, high: its 95 % interval; least: that with all tests counted."""
+    """Ratio of the errors to the sigmas over time. duration: s without fixes; None: with fixes. low, high: 95 %
+    interval of the ratio; least: its lower bound, adjusted for the number of tests."""
 
     duration: float | None
     value: float
@@ -209,7 +213,8 @@ class Trust:
 
     @property
     def scale(self) -> Scale | None:
-        """The scale that speaks most against the sigmas; where these are too small, none unless it proves that."""
+        """The scale that is the strongest evidence against the sigmas; if they are too small, None unless the scale
+        proves it."""
         if self.answer == NO:
             return max((s for s in self.scales if s.least > TOO_LARGE), key=lambda s: s.low, default=None)
         if self.answer == TOO_CAREFUL:
@@ -218,7 +223,8 @@ class Trust:
 
     @property
     def shown(self) -> Held | None:
-        """The outages for a headline: where sigmas are too small those that show it most, else those known best."""
+        """The outages for a headline: if the sigmas are too small, those that show it best, else those with most data.
+        """
         return min(self.held, key=lambda h: h.p) if self.answer == NO and self.held else \
             max(self.held, key=lambda h: (h.low, h.duration), default=None)
 
@@ -226,8 +232,8 @@ class Trust:
 def trusted(said: Sequence[Consistency]) -> Trust:
     """Whether sigmas can be trusted, from counts with binomial intervals and from normalized errors over time.
 
-    NO where a count, or errors over time, can hardly be by chance, all tests counted; YES where an ellipse is known to
-    hold the truth in HELD at least, and nothing speaks against it.
+    NO if a count, or the errors over time, contradict the sigmas significantly, adjusted for the number of tests. YES
+    if an ellipse certainly contains the truth in a share of HELD at least, and there is no such contradiction.
     """
     said = [one for one in said if len(one.nees)]
     tests = max(sum(1 + (one.within is not None) for one in said), 1)
@@ -246,8 +252,7 @@ def trusted(said: Sequence[Consistency]) -> Trust:
 
 
 def _without_fixes(scales: Sequence[Scale]) -> Sequence[Scale]:
-    """Those without fixes, where there are any: with fixes, the receiver's noise hides how wide the filter's own sigmas
-    are."""
+    """The scales without fixes, if there are any: with fixes, the noise of the truth hides the filter's own sigmas."""
     return [s for s in scales if s.duration is not None] or scales
 
 

@@ -1,7 +1,7 @@
-"""One filter, one sample or one measurement further: what `kernel.run` does with each.
+"""Advance one filter by one IMU sample or by one measurement: the two steps of `kernel.run`.
 
-The ring of states and samples remembers, so a measurement that comes late is applied at its own time: back to the state
-before it and forward again.
+A late measurement is applied at its own time: the filter returns to the last state before it, which is still in the
+ring of states, and repeats the samples and measurements that followed.
 """
 from __future__ import annotations
 
@@ -42,24 +42,26 @@ from .trust.standstill import MOVING_SPEED, certain_speed, is_still
 from .trust.straight_on import Wrong
 from .trust.white_noise import show_noise
 
-#: what the answers to an event mean
+#: answers of `take_event`: the measurement is in the memory; it is older than the first state; it is older than
+#: `gnss.max_delay` or than the states in the memory; it is older than measurements that the memory has dropped
 TAKEN, BEFORE_START, TOO_LATE, FORGOTTEN = 0, 1, 2, 3
-#: s without a sample that is believed, after which the IMU may have other errors: to be switched off and on, or to have
-#: its driver started anew, takes as long at least
+#: s. After at least this long without a valid IMU sample the sensor errors may have changed, because the IMU may have
+#: been switched off and on or its driver restarted (`free_sensors`). Shorter than such a restart takes
 SHORTEST_RESTART = 1.5
-#: s for which samples that are not believed are replaced by the mean of those before them; after that by those of a
-#: vehicle that goes straight on (`coast`). Matters where many are not believed (5 % spikes for a minute: 3.1 m, 4.5 m
-#: without; docs/ablation.md)
+#: s. For this long, faulty samples are replaced by the running mean of the valid samples before them; after that, by
+#: samples of straight motion at constant speed (`coast`). Matters where many samples are faulty: 5 % spikes for a
+#: minute give 3.1 m with it, 4.5 m without (docs/ablation.md)
 HELD = 0.3
-#: m/s, standard deviation added to the velocity where a state was not finite and the one before it is taken: far
-#: more than one sample can change it
+#: m/s, standard deviation that is added to the velocity where a state is not finite and is replaced by the state before
+#: it: far more than one sample can change the velocity
 RESTART_VELOCITY = 1.0
-RESTART_ATTITUDE = 0.05  # rad, the same of the attitude: 3 deg
+#: rad (3 deg), standard deviation that is added to the attitude in the same case: more than one sample can change it
+RESTART_ATTITUDE = 0.05
 
 
 @njit(_nrt=False)
 def advance(memory, k):
-    """State k from state k - 1 and sample k: the interval is split at each measurement in it."""
+    """Compute state k from state k - 1 and IMU sample k. The interval is split at each measurement in it."""
     first_row, dst = nonnegative(state_at(memory, k - 1)), nonnegative(state_at(memory, k))
     sample = nonnegative(sample_at(memory, k))
     src = first_row
@@ -87,8 +89,8 @@ def advance(memory, k):
             memory[dst + i] = memory[src + i]
     memory[dst + Nav.TIME] = end
     if memory[first_row + Nav.BRIDGED] > SHORTEST_RESTART and memory[dst + Nav.BRIDGED] == 0.0:
-        free_sensors(memory, dst)  # the first sample that is believed again
-    due = CONSTRAINT_INTERVAL - 0.5 * memory[sample + Sample.INTERVAL]  # at the nearest sample
+        free_sensors(memory, dst)  # this is the first valid sample after a long gap
+    due = CONSTRAINT_INTERVAL - 0.5 * memory[sample + Sample.INTERVAL]  # due at the nearest sample
     if memory[Head.CONSTRAINTS] != 0.0 and memory[dst + Nav.CONSTRAINT_TIME] > due:
         constrain(memory, dst, sample)
     if not _is_finite(memory, dst):
@@ -97,7 +99,7 @@ def advance(memory, k):
 
 @njit(_nrt=False, forceinline=True)
 def _is_finite(memory, r):
-    """Whether navigation solution and variances of row r are numbers."""
+    """Whether the navigation solution, the navigation errors and their variances in row r are finite."""
     r, n_navigation, m = nonnegative(r), int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED])
     total = 0.0
     for i in range(Nav.MEMORY):
@@ -111,7 +113,10 @@ def _is_finite(memory, r):
 
 @njit(_nrt=False)
 def _restore(memory, good, r, time):
-    """Row r as the row `good` before it, at `time`, and less sure."""
+    """Replace the state in row r by the earlier state in row `good`, with larger variances of velocity and attitude.
+
+    time: of the new state, s since the filter's epoch.
+    """
     for i in range(int(memory[Head.WIDTH])):
         memory[r + i] = memory[good + i]
     memory[r + Nav.TIME] = time
@@ -128,8 +133,7 @@ def _restore(memory, good, r, time):
 
 @njit(_nrt=False)
 def take_sample(memory, samples, i):
-    """Predict to the time of sample i (time, specific force and angular rate in sensor axes), with what was measured
-    till then."""
+    """Predict to the time of sample i of `samples` (see `kernel.run`), with the measurements up to that time."""
     i, k = nonnegative(i), int(memory[Head.SAMPLES]) + 1
     sample, before = nonnegative(sample_at(memory, k)), nonnegative(state_at(memory, k - 1))
     time = samples[i, 0]
@@ -145,7 +149,7 @@ def take_sample(memory, samples, i):
         _condition(memory, sample, Imu.CENTRE)
     else:
         coast(memory, sample, before)
-    if dt > memory[Head.MAX_GAP] and k > 1:  # what was in between is unknown: the mean of both ends
+    if dt > memory[Head.MAX_GAP] and k > 1:  # the motion during the gap is unknown: use the mean of both ends
         last = nonnegative(sample_at(memory, k - 1))
         for j in range(6):
             memory[sample + Sample.F_X + j] = 0.5 * (memory[sample + Sample.F_X + j] + memory[last + Sample.F_X + j])
@@ -155,7 +159,7 @@ def take_sample(memory, samples, i):
         bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
         moving = speed > MOVING_SPEED and not contradiction.goes_back(memory, before)
         memory[sample + Sample.STILL] = is_still(memory, sample, dt, moving, bridged)
-        if imu_faults.is_stuck(memory, dt):  # it would not show a motion
+        if imu_faults.is_stuck(memory, dt):  # a stuck accelerometer looks still although the vehicle may move
             memory[sample + Sample.STILL] = 0.0
     _refuse_ahead(memory, time)
     advance(memory, k)
@@ -168,7 +172,10 @@ def take_sample(memory, samples, i):
 
 @njit(_nrt=False)
 def _refuse_ahead(memory, time):
-    """A measurement that came before this sample is not of a time long after it, unless the clocks differ."""
+    """Refuse measurements whose stamp is more than Head.AHEAD later than `time`, s, of the new IMU sample.
+
+    They arrived before this sample, so their stamp must come from another clock.
+    """
     i = int(memory[Head.EVENTS]) - 1
     while i >= 0 and memory[event_at(memory, i) + Event.TIME] > time + memory[Head.AHEAD]:
         memory[event_at(memory, i) + Event.VERDICT] = Verdict.AHEAD
@@ -177,7 +184,7 @@ def _refuse_ahead(memory, time):
 
 @njit(_nrt=False, fastmath={'contract'}, forceinline=True)
 def _condition(memory, sample, raw):
-    """The six numbers at `raw`, in sensor axes, to body axes, with the corrections of the configuration."""
+    """Write to `sample` the six values at `raw` (sensor axes), rotated to body axes and corrected as configured."""
     sample, raw = nonnegative(sample), nonnegative(raw)
     for i in range(6):
         total = memory[Head.OFFSET + i]
@@ -188,12 +195,13 @@ def _condition(memory, sample, raw):
 
 @njit(_nrt=False)
 def coast(memory, sample, r):
-    """The sample of a vehicle that goes straight on at its speed, from the state at r."""
+    """Write to `sample` what the IMU would measure if the vehicle kept the velocity of the state at r and did not turn.
+    """
     memory[sample + Sample.COASTED] = 1.0
     c = body_to_level(memory, r)
     g = gravity(memory[r + Nav.LATITUDE], memory[r + Nav.HEIGHT])
     for axis in range(6):
-        # gravity's reaction and the estimated errors, which the prediction takes out again
+        # the reaction to gravity, and the estimated sensor errors, which the prediction subtracts again
         state = channel_of(memory, axis)
         error = memory[r + NAV + state] if state >= 0 else 0.0
         memory[sample + Sample.F_X + axis] = error - g * c[6 + axis] if axis < 3 else error
@@ -201,7 +209,10 @@ def coast(memory, sample, r):
 
 @njit(_nrt=False)
 def take_event(memory, events, i):
-    """Take in measurement i of `events`, rows as in `Event`; TAKEN, or why not."""
+    """Put measurement i of `events` (rows as in `Event`) into the memory and, where it is late, repeat what followed.
+
+    Returns TAKEN, or the reason why it is not used: BEFORE_START, TOO_LATE, FORGOTTEN.
+    """
     capacity, newest = int(memory[Head.CAPACITY]), int(memory[Head.SAMPLES])
     oldest = max(0, newest - capacity + 1)
     time, now = events[i, Event.TIME], memory[state_at(memory, newest) + Nav.TIME]
@@ -209,13 +220,13 @@ def take_event(memory, events, i):
         return BEFORE_START if oldest == 0 else TOO_LATE
     if now - time > memory[Head.MAX_DELAY]:
         return TOO_LATE
-    k = newest  # the state before it
+    k = newest  # to become the last state before the measurement
     while memory[state_at(memory, k) + Nav.TIME] >= time:
         k -= 1
     if memory[state_at(memory, k) + Nav.TIME] < memory[Head.FORGOTTEN]:
         return FORGOTTEN
     count = int(memory[Head.EVENTS])
-    if count == int(memory[Head.EVENT_CAPACITY]):  # forget the older half
+    if count == int(memory[Head.EVENT_CAPACITY]):  # full: drop the older half
         half = count // 2
         memory[Head.FORGOTTEN] = memory[event_at(memory, half - 1) + Event.TIME]
         for j in range(half, count):
@@ -231,7 +242,7 @@ def take_event(memory, events, i):
     memory[Head.EVENTS] = count + 1
     if events[i, Event.KIND] != Kind.POSITION and events[i, Event.INPUT] == 0.0:
         memory[Inputs.UNNAMED] = 1.0
-    for j in range(k + 1, newest + 1):  # late: back to the state before it and forward again
+    for j in range(k + 1, newest + 1):  # late: return to the state before it and repeat what followed
         advance(memory, j)
     if memory[Wrong.SINCE] != 0.0:
         _withdraw(memory, newest)
@@ -240,9 +251,10 @@ def take_event(memory, events, i):
 
 @njit(_nrt=False)
 def _withdraw(memory, newest):
-    """Back to the state before fixes that have turned out to be wrong, and forward again without them.
+    """Return to the state before the fixes that have turned out to be wrong (since Wrong.SINCE), and repeat what
+    followed without them.
 
-    Not where that is longer ago than is remembered, nor for a smoother, whose history goes forward only.
+    Nothing is done where that state is no longer in the memory, nor for a smoother, whose history cannot go back.
     """
     since, memory[Wrong.SINCE] = memory[Wrong.SINCE], 0.0
     k, oldest = newest, max(0, newest - int(memory[Head.CAPACITY]) + 1)

@@ -1,4 +1,4 @@
-"""A measurement, applied to the state of its time: the order of the checks of a fix, and of any other input."""
+"""Apply a measurement to the state at its time: the order of the checks, for fixes and for all other inputs."""
 from __future__ import annotations
 
 import math
@@ -26,7 +26,9 @@ from .trust.scale import seen_of
 from .trust.standstill import take_speed
 from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
 
-#: fixes refused in a row that may all be wrong: no way of an input is compared with one that ends at them
+#: number of fixes. Up to this many refused in a row are taken for outliers: they are not used as the end of a
+#: displacement with which an input is compared (`trust/way.py`). After more of them the filter may be the one that is
+#: wrong. Chosen, not measured
 MOST_WRONG = 3.0
 
 
@@ -46,8 +48,12 @@ def apply_event(mem, r, at, sample):
 
 @njit(_nrt=False)
 def _apply_fix(mem, r, at):
-    """How a fix is judged and used: by its receiver's habits, by what it has been seen to scatter, and beside a filter
-    that takes the fixes for wrong; then what it shows of all these."""
+    """Check the fix at `at`, correct the state at r with it, and learn from it.
+
+    Checks: extrapolated straight line, new start or heading from the course, the receiver's realised scatter, whether
+    this filter assumes that the fixes are wrong, innovation gate. Learned: scatter of the receiver, displacement of the
+    other inputs, drift of the fixes, drift of the sensors.
+    """
     receiver.take_status(mem, r, at)
     if _goes_straight_on(mem, r, at):
         straight_on.refuse(mem, r, at)
@@ -65,7 +71,7 @@ def _apply_fix(mem, r, at):
                 new_start.take_course(mem, r, v_n, v_e, 0.0)
     c = _note_state(mem, r, at)
     dimensions = position.observe(mem, r, at, h, n, c)
-    height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # of the planar filter, which has no state for it
+    height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # used by the planar filter, which has no state for the height
     receiver.learn_scatter(mem, r, at)
     factor, robust, gate = receiver.trust(mem, r, at)
     if doubts:
@@ -102,7 +108,7 @@ def _apply_fix(mem, r, at):
 
 @njit(_nrt=False)
 def _apply_input(mem, r, at, sample):
-    """How any other measurement is judged and used."""
+    """Check a measurement that is not a fix of the main receiver, and correct the state at r with it."""
     n, h = begin_update(mem, r)
     kind, c = mem[at + Event.KIND], _note_state(mem, r, at)
     dimensions = _observe(mem, r, at, h, n, c, sample)
@@ -132,7 +138,10 @@ def _apply_input(mem, r, at, sample):
 
 @njit(_nrt=False)
 def _observe(mem, r, at, h, n, c, sample):
-    """Innovation and rows of H of a measurement that is no fix; how many components it has."""
+    """Write innovation and rows of H of a measurement that is not a fix of the main receiver.
+
+    Returns its number of components.
+    """
     kind = mem[at + Event.KIND]
     if kind == Kind.VELOCITY:
         return velocity.observe(mem, r, at, h, n, c, sample)
@@ -151,7 +160,8 @@ def _observe(mem, r, at, h, n, c, sample):
 
 @njit(_nrt=False)
 def _note_state(mem, r, at):
-    """Beside the measurement at `at`: yaw and velocity that it met. The rotation from b to n."""
+    """Write the predicted yaw and velocity to the measurement at `at`; returns the rotation from b to n (9 elements).
+    """
     c = body_to_level(mem, r)
     mem[at + Event.YAW] = math.atan2(c[3], c[0])
     mem[at + Event.V_N], mem[at + Event.V_E] = mem[r + Nav.V_N], mem[r + Nav.V_E]
@@ -160,8 +170,7 @@ def _note_state(mem, r, at):
 
 @njit(_nrt=False)
 def _is_believed(mem, r, at, n):
-    """Whether the fix at `at` is believed, by what the filter says of the receiver; H stands behind P in the scratch.
-    """
+    """Whether this filter uses the fix at `at` (`hypotheses.judge`). The rows of H follow P in the scratch."""
     h, factor = int(mem[Head.SCRATCH_AT]) + n * n, receiver.realised_factor(mem, r)
     column = h + 3 * n
     r_nn, r_ne, r_ee = (factor * mem[at + Event.R_NN], factor * mem[at + Event.R_NE], factor * mem[at + Event.R_EE])
@@ -173,7 +182,8 @@ def _is_believed(mem, r, at, n):
 
 @njit(_nrt=False)
 def _misfit(mem, r, at, n, factor):
-    """Normalized innovation squared of the fix at `at` before its correction, the antenna's arm taken for exact."""
+    """Normalized innovation squared of the fix at `at` before its correction, as if the lever arm had no effect on S.
+    """
     p = int(mem[Head.SCRATCH_AT])
     a, b = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
     s_nn, s_ne = mem[p] + factor * mem[at + Event.R_NN], mem[p + 1] + factor * mem[at + Event.R_NE]
@@ -183,7 +193,7 @@ def _misfit(mem, r, at, n, factor):
 
 @njit(_nrt=False)
 def _goes_straight_on(mem, r, at):
-    """Whether the fix at `at` is one of a receiver without satellites that goes straight on."""
+    """Whether the fix at `at` comes from a receiver that extrapolates a straight line without satellites."""
     north, east, _ = position.difference(mem, r, at, body_to_level(mem, r))
     fix_drift.note(mem, r, at, north - mem[r + NAV], east - mem[r + NAV + 1])
     return straight_on.goes_straight_on(mem, r, at, north - mem[r + NAV], east - mem[r + NAV + 1])

@@ -1,11 +1,13 @@
-"""Two filters side by side in one memory: the one that is published, and one that takes the fixes for wrong.
+"""Two filters in one memory: the first, which is published, and a second, which assumes that the fixes are wrong.
 
-The second stands behind the first, as large, while `Bank.OPEN`, and gets the same samples and measurements. After each
-fix their scores are compared (`trust/hypotheses.py`). The second goes where it has lost, or where both agree. It
-becomes the first where its score is better and it uses the fixes, or the fixes drift away (`trust/fix_drift.py`).
+The second filter follows the first in the memory and has the same size. It exists while `Bank.OPEN` is 1, and receives
+the same samples and measurements. After each fix the scores of both (log likelihoods, `trust/hypotheses.py`) are
+compared. The second filter is dropped when its score is too low, or when both agree. It becomes the first when its
+score is better and it uses the fixes, or when the first follows fixes that drift away (`trust/fix_drift.py`).
 
-Where the first has refused several fixes in a row, either these fixes are wrong or those before them were, or the
-filter is: the first then takes the fixes for wrong, the second starts anew from them, and the better score decides.
+When the first filter has refused several fixes in a row, either these fixes are wrong, or the fixes before them were,
+or the filter is. The first then assumes that the fixes are wrong, the second starts anew from them, and the scores
+decide.
 """
 from __future__ import annotations
 
@@ -35,30 +37,37 @@ from .trust.hypotheses import Hypothesis
 from .trust.receiver import Receiver
 from .trust.scale import Scale
 
-#: in the head of the first
+#: columns of the head of the first filter
 Bank = HEAD.place(
     'Bank',
-    SIZE=1,  # floats of one filter; 0: there is no room for a second
-    OPEN=1,  # 1: there is one
-    COMPARED=1,  # s: time of the last fix after which both were compared,
-    BEGUN=1,  # from which on the second takes them for wrong,
-    DATED=1)  # 1: whether that was earlier has been looked for
+    SIZE=1,  # floats of one filter; 0: there is no room for a second one
+    OPEN=1,  # 1: there is a second filter
+    COMPARED=1,  # s: time of the latest fix after which both were compared
+    BEGUN=1,  # s: time since which the fixes are wrong, as the filter that refuses them assumes
+    SEARCHED=1)  # 1: earlier values of BEGUN have been tried (`_search_begin`)
 
-#: s before the fix that did not fit: since when fixes may have been wrong that drift away
+#: s before the first fix that did not fit: earlier times since which the fixes may be wrong, tried by `_search_begin`.
+#: Fixes that drift away fit at first
 BACK = (2.0, 4.0, 8.0)
-#: nats by which the second is better before it becomes the first, as what is published jumps then
+#: nats by which the second filter has to be better before it is published: a change makes the published position jump.
+#: Chosen, not measured
 BETTER = 2.0
-#: nats: a second that is behind by no more is worth the search since when (each 1 ms for 8 s at 100 Hz)
+#: nats: earlier times are tried only for a second filter that is behind by less (a trial takes 1 ms for 8 s at 100 Hz);
+#: and a second filter that uses no fixes has to be better by more. Chosen, not measured
 SERIOUS = 4.0
-#: share of the variance of position, velocity and heading below which a squared difference is none
+#: both filters agree where the square of each difference of position, velocity and heading is below this share of the
+#: smaller variance. Chosen, not measured
 SAME = 0.1
-#: share of `gnss.recovery_time` for which a filter that starts anew late has to fit before that time counts for it
+#: share of `gnss.recovery_time` for which a filter that starts anew from fixes refused for that long still has to fit
+#: them before it is as likely as the first filter (`hypotheses.most_behind`). Chosen, not measured
 FITTED = 0.5
 
 
 def copied(memory: np.ndarray, to: np.ndarray) -> np.ndarray:
-    """`to`, as large as `memory`, as an independent filter in the same state: without the second where there is none,
-    which begins with a copy of the first."""
+    """Copy the filter in `memory` to `to`, an array of the same size, and return `to`: an independent filter.
+
+    The part of the second filter is copied only where there is one; a new one begins as a copy of the first.
+    """
     end = int(memory[Bank.SIZE]) if memory[Bank.OPEN] == 0.0 else 0
     end = end or len(memory)
     to[:end] = memory[:end]
@@ -67,8 +76,8 @@ def copied(memory: np.ndarray, to: np.ndarray) -> np.ndarray:
 
 @njit(_nrt=False)
 def compare(memory):
-    """After each fix, once: begin a second filter where there is reason to, make it the first where it is better, end
-    it where it has lost or is the same, and note how far apart both are."""
+    """Once after each fix: begin a second filter where the fix is unlikely, publish it where it is better, drop it
+    where it has lost or agrees with the first, and write how far apart both are (`Hypothesis.SPREAD`)."""
     size, r = int(memory[Bank.SIZE]), state_at(memory, int(memory[Head.SAMPLES]))
     time = memory[r + Nav.FIX_TIME]
     if size == 0 or time == memory[Bank.COMPARED]:
@@ -79,12 +88,12 @@ def compare(memory):
         _begin(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0 and not refused:
             return
-    elif memory[Bank.DATED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
-        memory[Bank.DATED] = 1.0
-        _date(memory, other, r, interval)
+    elif memory[Bank.SEARCHED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
+        memory[Bank.SEARCHED] = 1.0
+        _search_begin(memory, other, r, interval)
     if refused:
         _start_from_fixes(memory, other, r, interval)
-        if memory[Bank.OPEN] == 0.0:  # what was before the fixes is not remembered: there is no second filter
+        if memory[Bank.OPEN] == 0.0:  # the state before the fixes is no longer in the memory: there is no second filter
             return
     for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.SIZE):  # how the fixes scatter: it is the same receiver
         other[r + i] = memory[r + i]
@@ -97,12 +106,12 @@ def compare(memory):
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
     if other[r + Nav.REFUSED] >= new_start.FEWEST_REFUSED:
         other[r + Hypothesis.FITS] = 0.0
-    if doubts and other[r + Hypothesis.FITS] != 0.0:  # it has to be near enough when the fixes are right
+    if doubts and other[r + Hypothesis.FITS] != 0.0:  # it must not lose while it may still turn out to be right
         least = memory[r + Hypothesis.SCORE] - hypotheses.most_behind(memory, time - memory[Bank.BEGUN])
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
     lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
-    if not doubts and lead > hypotheses.LOST or _same(memory, other, r):
+    if not doubts and lead > hypotheses.LOST or _agree(memory, other, r):
         memory[Bank.OPEN] = share = 0.0
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
     north, east = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
@@ -113,10 +122,10 @@ def compare(memory):
 
 @njit(_nrt=False)
 def _swap(memory, other):
-    """The second filter is the first from now on, and the first the second."""
+    """Exchange the first and the second filter."""
     for i in range(int(memory[Bank.SIZE])):
         memory[i], other[i] = other[i], memory[i]
-    for i in range(Bank.SIZE, Bank.DATED + 1):
+    for i in range(Bank.SIZE, Bank.SEARCHED + 1):
         memory[i] = other[i]
     r = state_at(memory, int(memory[Head.SAMPLES]))
     memory[r + Hypothesis.FITS], other[r + Hypothesis.FITS] = 0.0, 1.0
@@ -124,16 +133,16 @@ def _swap(memory, other):
 
 @njit(_nrt=False)
 def _start_from_fixes(memory, other, r, interval):
-    """The first filter, which has refused fixes in a row, takes them for wrong from now on; the second starts anew from
-    the latest of them. interval: s, since the fix before it."""
+    """The first filter, which has refused several fixes in a row, assumes from now on that these are wrong; the second
+    starts anew from the latest of them. interval: s between the latest fix and the one before."""
     begun = memory[r + Nav.REFUSED_SINCE]
     if memory[Bank.OPEN] == 0.0 or other[r + Hypothesis.SCORE] < memory[r + Hypothesis.SCORE]:
         oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
-        if _doubt(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
+        if _refuse_since(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
             return
     _swap(memory, other)
     begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTED) * memory[Head.RECOVERY_TIME])
-    memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, begun, 1.0
+    memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.SEARCHED] = 1.0, begun, 1.0
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)
     other[start + Hypothesis.STARTS] = 1.0
@@ -147,8 +156,11 @@ def _start_from_fixes(memory, other, r, interval):
 
 @njit(_nrt=False)
 def _is_better(memory, other, r):
-    """Whether the second is to be the first: one that uses no fixes only where the first follows fixes that drift away.
-    Who follows a receiver that is off by a constant is off by no more than that."""
+    """Whether the second filter is to be published.
+
+    A second filter that uses no fixes is published only where the first one follows fixes that drift away. A receiver
+    with a constant error is followed: its error bounds that of the filter.
+    """
     ahead = other[r + Hypothesis.SCORE] - memory[r + Hypothesis.SCORE]
     if other[r + Hypothesis.DOUBTS] == 0.0:
         return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)
@@ -159,34 +171,34 @@ def _is_better(memory, other, r):
 
 @njit(_nrt=False)
 def _begin(memory, other, r, interval):
-    """Begin a second filter that takes the latest fix for wrong, where that is not too unlikely. interval: s, since the
-    fix before it."""
-    if interval <= 0.0:  # fixes have been withdrawn, and those before them been compared already
+    """Begin a second filter that assumes that the latest fix is wrong, unless this is too unlikely. interval: s between
+    the latest fix and the one before."""
+    if interval <= 0.0:  # fixes have been withdrawn, and this one has been compared before
         return
     time, score = memory[r + Nav.FIX_TIME], memory[r + Hypothesis.SCORE]
     prior = math.log(hypotheses.FIXES_WRONG * min(interval, hypotheses.LONGEST))
     if memory[r + Hypothesis.OTHERWISE] + prior < -hypotheses.LOST:
         return
-    if _doubt(memory, other, time, interval) > score - hypotheses.LOST:
-        memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, time, 0.0
+    if _refuse_since(memory, other, time, interval) > score - hypotheses.LOST:
+        memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.SEARCHED] = 1.0, time, 0.0
 
 
 @njit(_nrt=False)
-def _date(memory, other, r, interval):
-    """Let the doubts of `other` have begun earlier, where that has a better score."""
+def _search_begin(memory, other, r, interval):
+    """Let `other` refuse the fixes from an earlier time on, where its score is better then."""
     best, latest, since = other[r + Hypothesis.SCORE], memory[Bank.BEGUN], 0.0
     for back in BACK:
-        score = _doubt(memory, other, latest - back, interval)
+        score = _refuse_since(memory, other, latest - back, interval)
         if score > best:
             best, since = score, back
     if since != BACK[-1]:
-        _doubt(memory, other, latest - since, interval)
+        _refuse_since(memory, other, latest - since, interval)
     memory[Bank.BEGUN] = latest - since
 
 
 @njit(_nrt=False)
 def _copy(memory, other, first):
-    """`other` as `memory`, but for the states before `first`, which it does not go back to."""
+    """Copy `memory` to `other`, without the states before number `first`, to which `other` will not return."""
     for i in range(int(memory[Head.ROWS_AT])):
         other[i] = memory[i]
     for k in range(first, int(memory[Head.SAMPLES]) + 1):
@@ -204,7 +216,7 @@ def _copy(memory, other, first):
 
 @njit(_nrt=False)
 def _before(memory, time):
-    """Number of the state before `time`, s, or of the oldest that is remembered."""
+    """Number of the last state before `time`, s, or of the oldest state in the memory."""
     k = int(memory[Head.SAMPLES])
     oldest = max(0, k - int(memory[Head.CAPACITY]) + 1)
     while k > oldest and memory[state_at(memory, k) + Nav.TIME] >= time:
@@ -213,8 +225,9 @@ def _before(memory, time):
 
 
 @njit(_nrt=False)
-def _doubt(memory, other, since, interval):
-    """`other` as the filter in `memory`, had it used none of the fixes since then, s. Its score."""
+def _refuse_since(memory, other, since, interval):
+    """Make `other` the filter that `memory` would be, had it used no fix since `since`, s. Returns its score, or -inf
+    where the state of that time is no longer in the memory."""
     newest, k = int(memory[Head.SAMPLES]), _before(memory, since)
     time = memory[state_at(memory, k) + Nav.TIME]
     if time >= since or time < memory[Head.FORGOTTEN]:
@@ -227,8 +240,8 @@ def _doubt(memory, other, since, interval):
 
 
 @njit(_nrt=False)
-def _same(memory, other, r):
-    """Whether both say the same of the fixes, and of position, velocity and heading."""
+def _agree(memory, other, r):
+    """Whether both filters either use the fixes or refuse them, and agree in position, velocity and heading (SAME)."""
     if memory[r + Hypothesis.DOUBTS] != other[r + Hypothesis.DOUBTS]:
         return False
     n_navigation = int(memory[Head.N_NAVIGATION])

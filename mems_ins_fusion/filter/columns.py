@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 
 def numbered() -> Callable[..., int]:
-    """A function that numbers columns in sequence: `column(3)` returns the first of the next three, `column(0)` the
-    next one without using it up."""
+    """A function that numbers columns in sequence: `column(3)` reserves three and returns the first, `column(0)`
+    returns the next one without reserving it."""
     end = 0
 
     def column(size: int = 1) -> int:
@@ -32,7 +32,8 @@ class Part:
     def place(self, owner: str, **columns):
         """Reserve columns for `owner` and return a named tuple of their positions.
 
-        columns: by name, the number of floats, or that and the first value, where it is not zero.
+        columns: for each name the number of floats, or a pair of this number and the first value of each (else zero).
+        Raises IndexError where the part has no room left.
         """
         positions = []
         for size in columns.values():

@@ -1,4 +1,4 @@
-"""Settings of the filter, from the parameters: only this file reads parameter values, the rest reads the settings."""
+"""Settings of the filter, computed from the parameters. The rest of the filter reads these settings, not parameters."""
 from __future__ import annotations
 
 import math
@@ -38,19 +38,21 @@ from .trust.lag import LagSettings
 from .trust.scale import Inputs
 from .trust.white_noise import White
 
-#: s: a measurement may arrive this much before the IMU samples of its time; one further ahead is of a different clock
+#: s by which the stamp of a measurement may be later than the newest IMU sample when it arrives. A measurement that is
+#: further ahead has stamps of another clock
 AHEAD = 1.0
 FASTEST_IMU = 1000  # Hz, IMU rate up to which the memory holds the samples of gnss.max_delay
 #: Hz, rate of all measurements together up to which the memory holds those of gnss.max_delay: speed, velocity and
 #: heading at 100 Hz, fixes at 20 Hz, and a margin
 MOST_MEASUREMENTS = 400
 SENSORS = ('accelerometer', 'gyroscope')
-#: standard deviation by which an IMU's errors change when it is switched off and on, as a share of that of an IMU never
-#: seen before
+#: when an IMU is switched off and on, its constant errors change by this share of the standard deviation that an
+#: unknown IMU has. Chosen, not measured
 REPEATED_TURN_ON = 0.3
-#: random walk of an estimated mounting angle in an hour, as a share of its prior standard deviation
+#: random walk of an estimated mounting angle in an hour, as a share of its prior standard deviation. Chosen, not
+#: measured
 MOUNTING_WANDER = 0.05
-TILT_TIME = 30.0  # s, correlation time of the tilt of road and body, for the planar filter
+TILT_TIME = 30.0  # s, correlation time of the tilt of road and body, for the planar filter. Chosen, not measured
 
 
 @dataclass(frozen=True)
@@ -73,9 +75,12 @@ class ImuSettings:
 
 @dataclass(frozen=True)
 class GnssSettings:
-    """lever_arm: (3,) body axes forward-right-down, m. lag: s^2, by which a fix lags behind for each m/s^2. gate:
-    normalized innovation beyond which a fix is refused, 0: none. coloured: model of the receiver's coloured noise, or
-    None."""
+    """Settings of the main receiver.
+
+    lever_arm: (3,) body axes forward-right-down, m. time_offset, max_delay, outage_after: s. lag: s^2, delay of the
+    position in m for each m/s^2 of acceleration. sigma, default_sigma: m. gate: normalized innovation beyond which a
+    fix is refused, 0: none. coloured: model of the receiver's coloured noise, or None.
+    """
 
     topic: str
     lever_arm: np.ndarray
@@ -90,21 +95,24 @@ class GnssSettings:
 
     @property
     def lag_time(self) -> float:
-        """Time constant of the receiver's filter as trust/lag.py models it, s. Positive lag: a filter that tracks the
-        velocity, lag is the square of this. Negative lag: a low pass of tau s, lag -tau^2 / 2, and this is tau / 3."""
+        """Time constant of the receiver's filter as trust/lag.py models it, s.
+
+        A positive lag is that of a filter that tracks the velocity: lag = time^2. A negative lag is that of a low pass
+        with the time constant tau: lag = -tau^2 / 2, and the time constant here is tau / 3.
+        """
         return math.sqrt(self.lag if self.lag >= 0.0 else -2.0 * self.lag / 9.0)
 
     @property
     def lag_gain(self) -> float:
-        """Lag of a fix for each m/s by which the receiver's filter has not followed the velocity, s."""
+        """s: m by which a fix lags for each m/s of velocity that the receiver's filter has not followed yet."""
         return self.lag / self.lag_time if self.lag else 0.0
 
 
 @dataclass(frozen=True)
 class AlignmentSettings:
-    """heading: its source, course, orientation or parameter. level: whether the tilt that a standstill shows is removed
-    from the samples, as the planar filter has no states for it. gyroscope_turn_on: rad/s, prior standard deviation of
-    the gyroscope bias."""
+    """heading: source of the initial heading: course, orientation or parameter. yaw, yaw_sigma: rad. level: whether the
+    samples are corrected for the tilt that is found at a standstill, for which the planar filter has no states.
+    gyroscope_turn_on: rad/s, prior standard deviation of the gyroscope bias."""
 
     heading: str
     yaw: float
@@ -115,7 +123,8 @@ class AlignmentSettings:
 
 @dataclass(frozen=True)
 class VehicleSettings:
-    """A standard deviation of 0: that constraint is not used."""
+    """Settings of the vehicle constraints. zero_velocity_sigma, lateral_sigma: m/s; 0: the constraint is not used.
+    still_acceleration: m/s^2. still_rate: rad/s."""
 
     zero_velocity_sigma: float
     lateral_sigma: float
@@ -156,7 +165,8 @@ class FilterConfig:
 
     @classmethod
     def from_parameters(cls, values: dict) -> FilterConfig:
-        """From checked parameters (`parameters.table.check`). ParameterError where they contradict each other."""
+        """From checked parameters (`parameters.table.check`). Raises ParameterError where they contradict each other.
+        """
         mechanization = BY_NAME[values['mechanization']]
         channels, is_level = MECHANIZATIONS[mechanization].CHANNELS, StateLayout(mechanization, 1).is_level
         for measurement in aiding(values) if is_level else ():
@@ -208,18 +218,20 @@ class FilterConfig:
 
     @property
     def declared_errors(self) -> list[float]:
-        """Known constant errors and time offsets of the inputs in use: the states are what is left beside these."""
+        """Configured factors, offsets and time offsets of the inputs in use. The filter's states are corrections to
+        these."""
         return [value for settings in self.sensors.values() if settings.topic
                 for value in (settings.factor, settings.offset, settings.time_offset)]
 
     @property
     def latest(self) -> float:
-        """s, by which a measurement may arrive after the IMU samples of its time: gnss.max_delay and time offset."""
+        """s by which a measurement may arrive after the IMU samples of its time: gnss.max_delay plus the time offset.
+        """
         return self.gnss.max_delay + max(0.0, *map(self.time_offset_of, self.inputs))
 
     @property
     def ahead(self) -> float:
-        """s, by which a measurement may arrive before the IMU samples of its time."""
+        """s by which a measurement may arrive before the IMU samples of its time: AHEAD plus the time offset."""
         return AHEAD + max(0.0, *(-self.time_offset_of(number) for number in self.inputs))
 
     @cached_property
@@ -229,7 +241,7 @@ class FilterConfig:
 
     @property
     def first_variance(self) -> np.ndarray:
-        """Variance of the error of each channel (channels,) of a sensor never seen before."""
+        """Initial variance of the error of each channel (channels,), without calibration."""
         return np.array([model.initial_covariance()[0, 0] + turn_on**2
                          for model, turn_on in zip(self.models, self.turn_on_sigma)])
 
@@ -293,7 +305,7 @@ class FilterConfig:
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,
             Head.GATE: gnss.gate, Head.ROBUST_SIGMA: values['gnss.robust_sigma'],
             Head.RECOVERY_TIME: values['gnss.recovery_time'], Head.COVARIANCE_FACTOR: values['gnss.adapt_covariance'],
-            # the planar filter's errors on slopes would be taken for the receiver's
+            # in the planar filter, errors by slopes would count as errors of the receiver
             Head.ADAPT: values['gnss.adapt_sigma'] and shows_tilt,
             # with AR models the planar filter's white noise includes the tilt (`_with_tilt`)
             White.ADAPT: values['imu.adapt_noise'] and shows_tilt,

@@ -1,5 +1,5 @@
-"""What is known of a land vehicle without measuring it: at a standstill it neither moves nor turns, else it does not go
-sideways or upwards. Applied ten times a second, each unless the vehicle is seen not to keep to it.
+"""Constraints on the motion of a land vehicle: at a standstill it neither moves nor turns, in motion it moves neither
+sideways nor upwards. Each is applied ten times a second, unless its innovations show that the vehicle violates it.
 """
 from __future__ import annotations
 
@@ -27,36 +27,42 @@ from .trust.standstill import wheels_turn
 from .trust.white_noise import Shown, hides_turns
 from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_update, product, project, update
 
-#: standstill and non-holonomic constraints are applied this often, s: their errors last about as long
+#: s between two applications of the standstill or the non-holonomic constraint: about the correlation time of their
+#: errors
 CONSTRAINT_INTERVAL = 0.1
-#: where samples are no more often than that, each non-holonomic one has a smaller variance, so that a second tells as
-#: much; but none tells more than this many
+#: the non-holonomic constraint has noise of constant density, so where the IMU is slower than CONSTRAINT_INTERVAL each
+#: application has a smaller variance. This is the largest divisor of the variance, reached at 5 Hz. Chosen, not
+#: measured
 MOST_TOLD = 2.0
-#: m/s: what the accelerometers call a standstill is one only below this speed plus three sigma: smooth roads, a creep
-#: in traffic
+#: m/s: a standstill that the accelerometers show is accepted only if the estimated speed is below this (plus three
+#: sigma, added as squares): on a smooth road, or in a creep of traffic, the accelerometers are as quiet as at rest
 STILL_SPEED = 0.3
-#: rad/s: and only below this turn rate plus three sigma: a robot that turns on the spot about its IMU stands still by
-#: the accelerometers, and takes 40 s for a turn at the most; a gyroscope that is off by less does not turn a parked car
+#: rad/s: and only if the turn rate is below this (plus three sigma, added as squares). A robot that turns on the spot
+#: about its IMU is at rest for the accelerometers; its turns take 40 s at the most, which is this rate. A smaller error
+#: of a gyroscope is accepted as a standstill, so that it is corrected there
 STILL_RATE = 0.15
-#: s over which the constraint's NIS is averaged
+#: s, time constant of the mean NIS of the non-holonomic constraint. Chosen, not measured
 CONSTRAINT_MEMORY = 10.0
-#: mean NIS above which the constraint is not used: it is 1 of a vehicle that keeps to it
+#: mean NIS above which the constraint is switched off; a vehicle that satisfies the constraint has 1
 CONSTRAINT_OFF = 6.0
-#: and below which it is used again: half, so that it does not come and go
+#: mean NIS below which it is switched on again: half of CONSTRAINT_OFF, as hysteresis
 CONSTRAINT_ON = 3.0
+#: one NIS counts as no more than this (5 sigma) in that mean, so that a single slide does not switch the constraint off
+LARGEST_NIS = 25.0
 
 
 @njit(_nrt=False)
 def constrain(mem, r, sample):
-    """What is known of a land vehicle: at standstill no velocity and no rotation, else no sideways velocity.
+    """Apply to the state at r the standstill constraints (zero velocity and zero angular rate) or the non-holonomic
+    one.
 
-    r: position of the state, sample: of the sample that led to it.
+    sample: position of the IMU sample that led to the state.
     """
     still = mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0 and not wheels_turn(mem, r)
     if not still and mem[Head.LATERAL_SIGMA] == 0.0:
         return
     (n, h), p = begin_update(mem, r), int(mem[Head.SCRATCH_AT])
-    at = h + 6 * n  # a record for the time being
+    at = h + 6 * n  # a temporary record in the scratch
     since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
     gyroscopes.allow_for_end(mem, r, n, since)
     yaw = yaw_state(mem)
@@ -64,8 +70,8 @@ def constrain(mem, r, sample):
         variance = velocity_variance(mem, r)
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
         agrees = squared < STILL_SPEED**2 + 9.0 * variance
-        # a vehicle that creeps smoothly and straight on does not turn; where a gyroscope turns, its error has made the
-        # velocity wrong, too, which then does not deny the standstill
+        # an estimated speed contradicts a standstill (a smooth, straight creep), but not where a gyroscope shows a
+        # turn: then the gyroscope is wrong, and has made the velocity wrong as well
         still = ((agrees or contradiction.goes_back(mem, r) or _turns(mem, r, sample, n, 0.0, gyroscopes.NEW_ERROR))
                  and not _turns(mem, r, sample, n, STILL_RATE, ROBUST))
         if still and not agrees:
@@ -81,7 +87,8 @@ def constrain(mem, r, sample):
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0, 0.0)
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
         c, shown = body_to_level(mem, r), mem[sample + Shown.SIDEWAYS]
-        if hides_turns(mem, shown + force_noise(mem, r)):  # then how vehicles move tells more of the acceleration
+        # with such noise, how land vehicles accelerate is known better than the accelerometers measure it
+        if hides_turns(mem, shown + force_noise(mem, r)):
             dimensions = acceleration.observe(mem, at, h, n, c, sample, since)
             update(mem, r, at, n, dimensions, 1.0, ROBUST, 0.0, 0.0)
             clear_rows(mem, h, n)
@@ -100,15 +107,17 @@ def constrain(mem, r, sample):
 
 @njit(_nrt=False)
 def _share(since):
-    """Factor on the variance of the non-holonomic constraint `since` s after the last: its errors are a density."""
+    """Factor on the variance of the non-holonomic constraint, `since` s after the previous one: noise of constant
+    density."""
     return max(CONSTRAINT_INTERVAL / since, 1.0 / MOST_TOLD)
 
 
 @njit(_nrt=False)
 def _fixes_tell_the_heading(mem, r, variance):
-    """Whether the heading is too uncertain for the constraint, which is linear in its error, and fixes will find it.
+    """Whether the constraint is left out because the heading is too uncertain for it and fixes will find the heading.
 
-    Without them the constraint is all there is against drifting away.
+    The constraint is linearised in the heading error. Without fixes it is applied all the same, as nothing else bounds
+    the drift. variance: of the heading, rad^2.
     """
     since = mem[r + Nav.TIME] - mem[r + Nav.FIX_TIME]
     return variance > new_start.LARGEST_YAW_SIGMA**2 and since < new_start.LONGEST_PAIR
@@ -116,7 +125,8 @@ def _fixes_tell_the_heading(mem, r, variance):
 
 @njit(_nrt=False)
 def _turns(mem, r, sample, n, rate, sigmas):
-    """Whether the gyroscopes turn by more than `rate`, rad/s, and so many sigmas at the sample; P is in the scratch."""
+    """Whether the sample shows an angular rate above `rate`, rad/s, and `sigmas` standard deviations (added as
+    squares). P is in the scratch."""
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     p, variance = int(mem[Head.SCRATCH_AT]), mem[Imu.SPREAD + 1]
     for axis in range(3, 6):
@@ -128,10 +138,10 @@ def _turns(mem, r, sample, n, rate, sigmas):
 
 @njit(_nrt=False)
 def _constrain_motion(mem, r, at, n, h, dimensions, since):
-    """The components of the non-holonomic constraint one by one, each unless the vehicle does not keep to it.
+    """Apply the components of the non-holonomic constraint one after the other, unless the vehicle violates them.
 
-    since: s from the one before. Each is judged by the variance as it is, so
-    that a slow IMU's is judged as a fast one's, and used with that for its interval.
+    since: s since the previous application. A component is tested with the variance of its record, at any rate of the
+    IMU; it is applied with the variance for its interval (`_share`).
     """
     for k in range(dimensions):
         z, variance = mem[at + Event.Z_N + k], mem[at + (Event.R_NN if k == 0 else Event.R_EE)]
@@ -139,7 +149,7 @@ def _constrain_motion(mem, r, at, n, h, dimensions, since):
         innovation = z - product(mem, n, h + n * k, r + NAV)
         s = variance + project(mem, n, h + n * k, column)
         nis = innovation * innovation / s
-        # where each fix is believed in any case there is nothing to decide
+        # without a gate every fix is used anyway, so a slide need not decide between the fixes and the IMU
         if k == 0 and mem[Head.GATE] > 0.0 and contradiction.slides(mem, r, innovation, s, since):
             contradiction.unsettle(mem, r, n, innovation, since)
             s = variance + project(mem, n, h + n * k, column)
@@ -148,21 +158,21 @@ def _constrain_motion(mem, r, at, n, h, dimensions, since):
         mem[at + (Event.S_NN if k == 0 else Event.S_EE)] = s
         running = Nav.LATERAL_NIS if k == 0 else Nav.VERTICAL_NIS
         before = mem[r + running]
-        off = before < 0.0  # the sign tells that it is off
-        mean = abs(before) + (min(nis, 25.0) - abs(before)) * min(since / CONSTRAINT_MEMORY, 1.0)
+        off = before < 0.0  # a negative mean marks a component that is switched off
+        mean = abs(before) + (min(nis, LARGEST_NIS) - abs(before)) * min(since / CONSTRAINT_MEMORY, 1.0)
         off = mean > (CONSTRAINT_ON if off else CONSTRAINT_OFF)
         mem[r + running] = -mean if off else mean
         if off:
             mem[r + Nav.SIDEWAYS] += since if k == 0 else 0.0
             continue
         if nis > ROBUST**2:
-            s *= nis / ROBUST**2  # as if the noise were larger by as much
+            s *= nis / ROBUST**2  # R is raised until the normalized innovation is ROBUST
         correct_by_scalar(mem, r, n, h + n * k, column, z, s - (1.0 - _share(since)) * variance)
 
 
 @njit(_nrt=False)
 def _note(mem, sample, at, kind, dimensions):
-    """What a constraint said, beside the sample it was applied at."""
+    """Write kind, innovation and its variances of a constraint to the IMU sample at which it was applied."""
     mem[sample + Sample.CONSTRAINT] = kind
     for k in range(dimensions):
         mem[sample + Sample.Z + k] = mem[at + Event.Z_N + k]

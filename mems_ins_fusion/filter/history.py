@@ -36,7 +36,8 @@ def begin(mem, n):
 
 @njit(_nrt=False)
 def corrected(mem, n, h, column, residual, s):
-    """Add a scalar correction: row H at `h`, P H^T at `column`, innovation minus H x, variance of the innovation."""
+    """Add a scalar correction. h, column: positions of the row H and of P H^T. residual: innovation minus H x. s: its
+    variance."""
     t = int(mem[Head.HISTORY_AT])
     information = t + n * n
     g = information + n * n
@@ -77,7 +78,7 @@ def lose(mem, n):
 
 @njit(_nrt=False)
 def take(mem, r, n, out):
-    """Copy row r and the history since the last call into `out`, and empty the history."""
+    """Copy row r and the history since the previous call into `out`, and begin an empty history."""
     width, at = int(mem[Head.WIDTH]), int(mem[Head.HISTORY_AT])
     for i in range(width):
         out[i] = mem[r + i]

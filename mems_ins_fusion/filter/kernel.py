@@ -1,12 +1,12 @@
 """The compiled filter: one error-state Kalman filter for the live node and for the replay of whole recordings.
 
-All of it is in one flat array of floats (`FilterConfig.memory`): a head with sizes and settings, noise parameters, a
+The filter is one flat array of floats (`FilterConfig.memory`): a head with sizes and settings, noise parameters, a
 ring of the latest states (rows, see memory.py), a ring of the IMU samples between them, and the measurements of the
-same period. A measurement that comes late is applied at its own time: the filter returns to the state before it and
-repeats what followed. A copy of the memory is an independent filter; replayed outages are such copies.
+same period. A late measurement is applied at its own time: the filter returns to the last state before it and repeats
+the samples and measurements that followed. A copy of the array is an independent filter; replayed outages use copies.
 
-`run` is the only entry: live it is called with one sample or measurement at a time, in a replay with a whole recording.
-Both execute the same compiled code, so both give the same bits.
+`run` is the only entry point. The live node calls it with one sample or measurement at a time, a replay with a whole
+recording. Both execute the same compiled code, so the results are the same to the last bit.
 """
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .memory import Event, Head, Kind, Nav, event_at, state_at
 
 @njit(_nrt=False)
 def find_event(memory, identity):
-    """Position of the measurement with this Event.ID, searched from the newest; -1: no longer in the memory."""
+    """Position in `memory` of the measurement with this Event.ID; -1: it is no longer there. The newest come first."""
     for i in range(int(memory[Head.EVENTS]) - 1, -1, -1):
         if memory[event_at(memory, i) + Event.ID] == identity:
             return event_at(memory, i)
@@ -34,11 +34,12 @@ def find_event(memory, identity):
 def run(memory, samples, events, arrival, answers, columns, kept, states, log):
     """Process IMU samples and measurements in the order of their arrival.
 
-    samples (k, 7): time (s since the epoch), specific force and angular rate in sensor axes. events (e, Event.SIZE):
-    measurements in the order of arrival; arrival (e,): number of `samples` that arrived before each; answers (e,),
-    output: TAKEN, or why it was not. kept (s,): indices of samples, ascending, after each of which the `columns` of the
-    newest state are written to states (s, len(columns)). log: array whose rows, by Event.ID, receive each measurement
-    with its result before the memory drops it; empty: none.
+    samples (k, 7): time (s since the filter's epoch), specific force (m/s^2) and angular rate (rad/s) in sensor axes.
+    events (e, Event.SIZE): measurements in the order of arrival. arrival (e,): number of samples that arrived before
+    each measurement. answers (e,), output: for each measurement TAKEN or the reason why it was not (advance.py).
+    kept (s,): ascending indices of samples. After each of these, the `columns` of the newest state are written to
+    states (s, len(columns)), output. log (measurements, Event.SIZE), output: each measurement with its result, in the
+    row of its Event.ID; an empty array: none is written.
     """
     next_event, next_row, other = 0, 0, memory[int(memory[Bank.SIZE]):]
     for k in range(len(samples) + 1):
@@ -68,7 +69,8 @@ def run(memory, samples, events, arrival, answers, columns, kept, states, log):
 
 @njit(_nrt=False)
 def _turn_longitude(memory, events, i):
-    """Bring the longitude of fix i within half a turn of the state's, which does not jump at 180 degrees."""
+    """Add full turns to the longitude of fix i until it is within 180 degrees of the state's, which is continuous
+    across the antimeridian."""
     if events[i, Event.KIND] == Kind.POSITION or events[i, Event.KIND] == Kind.PLACE:
         ahead = events[i, Event.LONGITUDE] - memory[state_at(memory, int(memory[Head.SAMPLES])) + Nav.LONGITUDE]
         events[i, Event.LONGITUDE] -= 2.0 * math.pi * np.round(ahead / (2.0 * math.pi))

@@ -49,10 +49,10 @@ class _Nav(NamedTuple):
     CONSTRAINT_TIME: int = column()  # s since the last vehicle constraint
     # Statistics of the inputs are part of the state, so that a return to an earlier state for a late fix restores them
     MEMORY: int = column(0)  # the first of these columns, which a prediction only copies
-    FIX_TIME: int = column()  # of the last fix, used or refused
+    FIX_TIME: int = column()  # time and position of the last fix, used or refused
     FIX_LATITUDE: int = column()
     FIX_LONGITUDE: int = column()
-    RESIDUAL_TIME: int = column()  # of the last fix used, and its residual: updated minus measured position, m
+    RESIDUAL_TIME: int = column()  # time of the last fix used, and its residual: updated minus measured position, m
     RESIDUAL_N: int = column()
     RESIDUAL_E: int = column()
     REFUSED: int = column()  # fixes refused in a row; sums over them, to fit a line to their innovations:
@@ -66,43 +66,43 @@ class _Nav(NamedTuple):
     SUM_SQUARE: int = column()
     LATERAL_NIS: int = column()  # running mean NIS of the non-holonomic constraint, sideways and vertical
     VERTICAL_NIS: int = column()
-    BRIDGED: int = column()  # s since the last believed IMU sample, LONGEST_BRIDGE at most (prediction.py)
-    WEIGHTED: int = column()  # fixes in a row that did not fit, the first of them weighted down
-    STRAYED: int = column()  # restarts from refused fixes within a short time,
+    BRIDGED: int = column()  # s since the last valid IMU sample, LONGEST_BRIDGE at most (prediction.py)
+    WEIGHTED: int = column()  # fixes in a row beyond gnss.robust_sigma, the first of them weighted down
+    STRAYED: int = column()  # new starts from refused fixes within a short time (new_start.SOON),
     STRAYED_TIME: int = column()  # and the time of the last one
     # consistency of the innovations with the covariance, see trust/receiver.py
     SLOW_N: int = column()  # low-passed whitened innovations of the fixes, and their variance were they white
     SLOW_E: int = column()
     SLOW_VARIANCE: int = column()
-    VARIANCE_FACTOR: int = column()  # realised over expected variance of them; below 1 it counts as 1
+    VARIANCE_FACTOR: int = column()  # realised over expected variance of these innovations; below 1 it counts as 1
     CLAIM_LEVEL: int = column()  # mean logarithm of the claimed variance, m^2
     LASTING: int = column()  # variance of the receiver's slow errors, m^2, which the estimated position contains
     # whether the fixes or the IMU are wrong, see trust/contradiction.py
-    SLIDING: int = column()  # NIS of the lateral constraint: mean of the last second, and usual for this vehicle
-    USUAL_SLIDING: int = column()
-    UNSETTLED: int = column()  # s for which fixes are used whatever their innovations
-    STOOD: int = column()  # time of the latest standstill, and the velocity that it corrected, m/s
-    TAKEN_N: int = column()
+    SLIDING: int = column()  # NIS of the lateral constraint, mean of the last second
+    USUAL_SLIDING: int = column()  # the same NIS, long-term mean: what is usual for this vehicle
+    UNSETTLED: int = column()  # s for which fixes are still used whatever their innovations
+    STOOD: int = column()  # time of the latest standstill,
+    TAKEN_N: int = column()  # and by how much it corrected the velocity, m/s
     TAKEN_E: int = column()
     # counts for messages to the user
     SIDEWAYS: int = column()  # s during which the vehicle violated the non-holonomic constraint
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
     RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
     RECOVERIES: int = column()  # restarts from fixes that had been refused
-    MECHANISMS: int = column(430)  # the first of those declared in other files (`ROW`), and room for them
+    MECHANISMS: int = column(430)  # room for the columns that other files declare (`ROW`)
     SIZE: int = column(0)
 
 
 Nav = _Nav()
 NAV = Nav.SIZE
-#: columns of a state that other files declare: restored with the state when a measurement comes late
+#: columns of a state that other files declare; a return to an earlier state restores them with the state
 ROW = Part('a state', Nav.MECHANISMS, Nav.SIZE)
 PLANAR, STRAPDOWN = 0, 1
 MECHANIZATIONS = {PLANAR: planar, STRAPDOWN: strapdown}
 BY_NAME = {'planar': PLANAR, 'strapdown': STRAPDOWN}  # as the parameter `mechanization` has it
 
 
-#: the nine errors of position, velocity and attitude, PHI_D also the planar yaw: a mechanization has some as states
+#: the nine errors of position, velocity and attitude; PHI_D is also the planar yaw. Planar has only some as states
 Error = strapdown.State
 
 
@@ -170,9 +170,10 @@ class StateLayout:
 
 @njit(_nrt=False)
 def nonnegative(position):
-    """`position`, such that the compiler knows it is not negative (an index from the end).
+    """Return `position`, which is not negative, in a form in which the compiler knows that it is not negative.
 
-    Without this it checks the sign at each use, which takes a third of the filter's time.
+    Otherwise it would test at each use for a negative index (one from the end), which takes a third of the filter's
+    time.
     """
     return position & 0x7FFFFFFFFFFFFFFF
 
@@ -327,9 +328,9 @@ class _Head(NamedTuple):
     SAMPLES: int = column()  # IMU samples so far: the newest state is in row SAMPLES modulo CAPACITY
     EVENTS: int = column()  # number of measurements in the memory
     ROWS_AT: int = column()  # first position of the states,
-    RING_AT: int = column()  # of the IMU samples,
-    EVENTS_AT: int = column()  # of the measurements,
-    SCRATCH_AT: int = column()  # and of the scratch
+    RING_AT: int = column()  # first position of the IMU samples,
+    EVENTS_AT: int = column()  # first position of the measurements,
+    SCRATCH_AT: int = column()  # and first position of the scratch
     # indices of the optional states among all n; -1: none
     COLOURED: int = column()  # coloured_n, followed by coloured_e
     MOUNTING_PITCH: int = column()
@@ -339,7 +340,7 @@ class _Head(NamedTuple):
     INTERVAL: int = column(2)  # s, T_s of the autoregressive models of accelerometers and gyroscopes; 0: other models
     MAX_GAP: int = column()  # s
     MAX_DELAY: int = column()  # s
-    LEVER_X: int = column()  # of the antenna, body axes forward-right-down, m
+    LEVER_X: int = column()  # lever arm of the antenna, body axes forward-right-down, m
     LEVER_Y: int = column()
     LEVER_Z: int = column()
     AXLE_X: int = column()  # from the IMU to the point that does not slip, body axes, m
@@ -353,8 +354,8 @@ class _Head(NamedTuple):
     ZERO_VELOCITY_SIGMA: int = column()  # 0: not used
     LATERAL_SIGMA: int = column()  # 0: not used
     VERTICAL_SIGMA: int = column()
-    SIDESLIP: int = column()  # rad per m/s^2 of lateral acceleration
-    SLIP_SIGMA: int = column()  # its standard deviation, rad per m/s^2
+    SIDESLIP: int = column()  # sideslip angle, rad per m/s^2 of lateral acceleration,
+    SLIP_SIGMA: int = column()  # and its standard deviation, rad per m/s^2
     ANGLE_SIGMA: int = column()  # standard deviation of the direction of motion in the vehicle's axes, rad
     CONDITIONING: int = column(36)  # 6 x 6: body-axis sample = matrix (raw sample) + offset
     OFFSET: int = column(6)
@@ -365,7 +366,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # `StateLayout.rows`
     CHANNEL: int = column(6)  # `StateLayout.axes`
     AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
-    MECHANISMS: int = column(85)  # the first of those declared in other files (`HEAD`), and room for them
+    MECHANISMS: int = column(85)  # room for the columns that other files declare (`HEAD`)
     SIZE: int = column(0)
 
 
@@ -388,13 +389,13 @@ class _Sample(NamedTuple):
     W_Y: int = column()
     W_Z: int = column()
     STILL: int = column()  # 1 at rest
-    FAULT: int = column()  # why it was not believed, `trust.imu_faults.Fault`; 0: it was
+    FAULT: int = column()  # why the sample is not used, `trust.imu_faults.Fault`; 0: it is used
     CONSTRAINT: int = column()  # kind of the constraint applied; 0: none
-    Z: int = column(3)  # its innovation
-    S: int = column(3)  # and the variances of that
+    Z: int = column(3)  # innovation of the constraint
+    S: int = column(3)  # and its variances
     COASTED: int = column()  # 1: replaced by a sample of straight motion at constant speed
     INTERVAL: int = column()  # s since the previous sample
-    MECHANISMS: int = column(10)  # the first of those declared in other files (`SAMPLE`), and room for them
+    MECHANISMS: int = column(10)  # room for the columns that other files declare (`SAMPLE`)
     SIZE: int = column(0)
 
 
@@ -436,9 +437,10 @@ column = numbered()
 
 
 class _Event(NamedTuple):
-    """One measurement ("record"): what was measured, and what the filter did with it.
+    """Columns of one measurement: what was measured, and what the filter did with it.
 
-    Up to three components, called N, E, D whatever they are: the first two may be correlated.
+    "Record" and "event" elsewhere mean the same row. It has up to three components, which are called N, E, D whatever
+    they are; the first two may be correlated.
     """
 
     TIME: int = column()  # s since the epoch, at which it describes the vehicle
@@ -455,23 +457,23 @@ class _Event(NamedTuple):
     Z_N: int = column()  # innovation, predicted minus measured
     Z_E: int = column()
     Z_D: int = column()
-    S_NN: int = column()  # its covariance
+    S_NN: int = column()  # covariance of the innovation
     S_NE: int = column()
     S_EE: int = column()
     S_DD: int = column()
-    NIS: int = column()  # of the first two components
+    NIS: int = column()  # normalized innovation squared of the first two components
     VERDICT: int = column()  # what the filter did with it, one of `Verdict`
-    WEIGHT: int = column()  # factor on its inverse covariance, 0 to 1
+    WEIGHT: int = column()  # factor by which the robust weight multiplied the inverse of S, 0 to 1
     YAW: int = column()  # predicted yaw and velocity, for innovations along and across track
     V_N: int = column()
     V_E: int = column()
     WITHDRAWN: int = column()  # 1: a later measurement has shown that it is wrong
     INPUT: int = column()  # number of its named input, from 1 on; 0: the unnamed input
-    STATE: int = column()  # of a named input: index of its first optional state among all n; -1: none
-    TIME_OFFSET: int = column()  # index of the state of its time offset among all n; 0: none, as 0 is the position
-    ARM: int = column(3)  # of a named input: lever arm from the IMU, body axes, m
-    STATUS: int = column()  # of a fix, `NavSatStatus.status`: 0 plain, 1 with satellite corrections, 2 with a base
-    DECLINATION: int = column()  # of a magnetic field, as configured, rad
+    STATE: int = column()  # if from a named input: index of the input's first optional state among all n; -1: none
+    TIME_OFFSET: int = column()  # index of the state of its time offset among all n; 0 (a position state): none
+    ARM: int = column(3)  # if from a named input: lever arm from the IMU, body axes, m
+    STATUS: int = column()  # if a fix: `NavSatStatus.status`, 0 plain, 1 with satellite corrections, 2 with a base
+    DECLINATION: int = column()  # if a magnetic field: declination as configured, rad
     SIZE: int = column(0)
 
 
@@ -484,7 +486,7 @@ class _Verdict(NamedTuple):
     PENDING: int = 0  # not applied yet
     USED: int = 1
     WEIGHTED: int = 2  # used with a larger covariance, as its innovation is large
-    REFUSED: int = 3  # its innovation is beyond the gate
+    REFUSED: int = 3  # refused: its innovation is beyond the gate
     FROZEN: int = 4  # refused: its value does not change although the state does
     RECOVERED: int = 5  # the filter restarted from it, as it agrees with fixes refused before
     AHEAD: int = 6  # refused: its stamp is later than that of the next IMU sample
@@ -496,9 +498,9 @@ class _Verdict(NamedTuple):
 Verdict = _Verdict()
 
 
-#: first position of the noise parameters, which follow the head: white noise density squared of the six axes,
+#: first position of the noise parameters, which follow the head: white noise densities squared of the six axes
 WHITE = Head.SIZE
-_STATES = WHITE + 6  # then those of the augmented states, as the functions below say
+_STATES = WHITE + 6  # then the noise parameters of the augmented states, at the positions that the functions below give
 
 
 @njit(inline='always')

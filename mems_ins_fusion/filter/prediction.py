@@ -4,8 +4,9 @@ P_nn navigation, P_ns cross, P_ss sensor errors; Phi = [[F, B], [0, A]] with A d
 Gauss-Markov, and one companion matrix per channel, which steps once per T_s, for AR(p). F and B are not formed:
 `error_step` of the mechanization applies [F, B] to a column.
 
-All functions work on the flat memory, as passing further arrays costs as much time as the mathematics. `src`, `dst` and
-`sample` are positions in it: of the previous state, of the state to write, and of the IMU sample of the interval.
+All functions work on the flat memory: passing further arrays would cost as much time as the mathematics. `src`, `dst`
+and `sample` are positions in the memory: of the previous state, of the state to write, and of the IMU sample of the
+interval.
 """
 from __future__ import annotations
 
@@ -42,21 +43,31 @@ from .trust.lag import LagSettings, fall_behind
 from .trust.scale import KINDS, Inputs, Kinds
 from .trust.white_noise import density
 
-GAP_ACCELERATION = 1.5  # m/s^2, standard deviation of a vehicle's acceleration during a gap in the IMU samples
-GAP_TILT_SHARE = 0.1  # variance of roll and pitch over that of the heading that a gap adds
-GAP_TURN_RATE = 0.3  # rad/s, standard deviation of its turn rate during a gap
+#: m/s^2, standard deviation of the vehicle's acceleration during a gap in the IMU samples. Chosen: a car in traffic
+GAP_ACCELERATION = 1.5
+#: rad/s (17 deg/s), standard deviation of its turn rate during a gap. Chosen; four times as much costs 60 m where an
+#: IMU restarts (docs/ablation.md)
+GAP_TURN_RATE = 0.3
+#: a gap adds this share of the heading's variance to roll and pitch: roads bend more than they tilt. Chosen, not
+#: measured
+GAP_TILT_SHARE = 0.1
 #: rad, largest standard deviation that a gap gives to roll and pitch, however long it lasts: roads are not steeper
 GAP_TILT = 0.1
-#: s for which the acceleration and turn rate of a gap are taken for constant; after that they are new ones
+#: s for which the unknown acceleration and turn rate of a gap are taken as constant. After that P goes on growing at
+#: the rate it has reached by then. Chosen, not measured
 LONGEST_BRIDGE = 2.0
-UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)  # rad, standard deviation of a heading that is uniformly distributed
-SERIES = 0.01  # share of a correlation time up to which the series of the exponential is exact to rounding
-RADII_STEP = 2e-6  # rad of latitude (13 m) after which the radii are computed anew: the scales are accurate to 2e-6
+#: rad, standard deviation of a heading that is uniformly distributed over the circle
+UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)
+#: dt over the correlation time up to which the series in `_series` equals the exponential to rounding
+SERIES = 0.01
+#: rad of latitude (13 m): after a move of this size the radii are computed anew, which keeps the scales accurate to
+#: 2e-6
+RADII_STEP = 2e-6
 
 
 @njit(_nrt=False, fastmath={'contract'})
 def predict(mem, src, dst, sample, dt):
-    """Write to dst the state at src, predicted over dt with one IMU sample; the caller sets its TIME."""
+    """Write to dst the state at src, predicted over dt, s, with one IMU sample; the caller sets its TIME."""
     src, dst, sample = nonnegative(src), nonnegative(dst), nonnegative(sample)
     m, p = nonnegative(int(mem[Head.N_AUGMENTED])), nonnegative(int(mem[Head.ORDER]))
     if mem[Head.MECHANIZATION] != PLANAR:
@@ -69,7 +80,7 @@ def predict(mem, src, dst, sample, dt):
         _step_planar(mem, src, dst, sample, dt, m, p)
     for k in range(Nav.MEMORY, Kinds.SEEN):
         mem[dst + k] = mem[src + k]
-    if mem[Inputs.UNNAMED] != 0.0:  # else they are all zero
+    if mem[Inputs.UNNAMED] != 0.0:  # else all columns of `Kinds` are zero
         for k in range(Kinds.SEEN, Kinds.SEEN + KINDS * INPUT_SIZE):
             mem[dst + k] = mem[src + k]
     for k in range(Kinds.SEEN + KINDS * INPUT_SIZE, NAV):
@@ -88,7 +99,7 @@ def predict(mem, src, dst, sample, dt):
 
 @njit(_nrt=False)
 def set_radii(mem, r):
-    """Compute latitude and longitude per metre at the position of row r."""
+    """Write to row r how many radians of latitude and of longitude one metre is at its position."""
     north, east = radii(mem[r + Nav.LATITUDE])
     height = mem[r + Nav.HEIGHT]
     mem[r + Nav.RADII_LATITUDE] = mem[r + Nav.LATITUDE]
@@ -112,10 +123,10 @@ def _move(mem, src, dst, north, east, down):
 
 @njit(_nrt=False, fastmath={'contract'}, forceinline=True)
 def _step_planar(mem, src, dst, sample, dt, m, p):
-    """One interval of the planar mechanization; m augmented states, p states per channel."""
+    """Predict one interval of dt, s, with the planar mechanization; m augmented states, p states per channel."""
     src, dst, sample, m, p = nonnegative(src), nonnegative(dst), nonnegative(sample), nonnegative(m), nonnegative(p)
     x = NAV + 5
-    # first columns of the blocks of P: navigation a, cross b, and in b those of the errors of f_x, f_y, w_z
+    # first positions of the blocks of P: navigation block a, cross block b, and in b the columns of f_x, f_y, w_z
     a = x + m
     b = a + 15
     bx, by, bw = b, b + 5 * p, b + 10 * p
@@ -192,8 +203,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
 
 @njit(inline='always')
 def _planar_column(mem, dt, f_n, f_e, c, s, k, step, q, sensor_step):
-    """[F, B] times a column: its navigation errors at `k`, `step` apart, its sensor errors at `q`, `sensor_step` apart.
-    """
+    """[F, B] times a column: navigation errors at k, k + step, ..., sensor errors at q, q + sensor_step, ..."""
     return planar.error_step(
         dt, f_n, f_e, c, s, mem[k], mem[k + step], mem[k + 2 * step], mem[k + 3 * step], mem[k + 4 * step],
         mem[q], mem[q + sensor_step], mem[q + 2 * sensor_step])
@@ -201,7 +211,7 @@ def _planar_column(mem, dt, f_n, f_e, c, s, k, step, q, sensor_step):
 
 @njit(inline='always')
 def _strapdown_column(mem, transition, k, step, q, sensor_step):
-    """The same for the strapdown mechanization."""
+    """`_planar_column` for the strapdown mechanization."""
     return strapdown.error_step(
         transition, (mem[k], mem[k + step], mem[k + 2 * step]),
         (mem[k + 3 * step], mem[k + 4 * step], mem[k + 5 * step]),
@@ -212,7 +222,7 @@ def _strapdown_column(mem, transition, k, step, q, sensor_step):
 
 @njit(_nrt=False)
 def _carry_planar(mem, dt, f_n, f_e, c, s, m, p):
-    """Multiply the transition T of the history (history.py) by Phi: its navigation rows."""
+    """Multiply the transition matrix T of the smoother's history (history.py) by Phi: its navigation rows."""
     n = 5 + m
     for k in range(int(mem[Head.HISTORY_AT]), int(mem[Head.HISTORY_AT]) + n):
         moved = _planar_column(mem, dt, f_n, f_e, c, s, k, n, k + 5 * n, n * p)
@@ -222,7 +232,7 @@ def _carry_planar(mem, dt, f_n, f_e, c, s, m, p):
 
 @njit(_nrt=False)
 def _carry_strapdown(mem, transition, m, p):
-    """The same for the strapdown mechanization."""
+    """`_carry_planar` for the strapdown mechanization."""
     n = 9 + m
     for k in range(int(mem[Head.HISTORY_AT]), int(mem[Head.HISTORY_AT]) + n):
         moved = _strapdown_column(mem, transition, k, n, k + 9 * n, n * p)
@@ -232,7 +242,7 @@ def _carry_strapdown(mem, transition, m, p):
 
 @njit(_nrt=False)
 def _carry_sensors(mem, dt, size, m):
-    """The rows of the augmented states of T."""
+    """Multiply the rows of the augmented states of T by their decay over dt; size: number of navigation errors."""
     n = size + m
     for j in range(m):
         decay, at = _decay(dt * mem[decay_at(j)]), int(mem[Head.HISTORY_AT]) + n * (size + j)
@@ -242,10 +252,12 @@ def _carry_sensors(mem, dt, size, m):
 
 @njit(_nrt=False)
 def _bridge(mem, r, dt, m, fault):
-    """Add to the covariance of row r the motion that the vehicle may have made in dt, while no sample was believed.
+    """Add to the covariance of row r the motion that the vehicle may have made in dt, s, without a valid sample.
 
-    Acceleration and turn rate are unknown constants: what they add depends on how long the gap has lasted. Impossible
-    turn rates (Fault.WHIRL) lose the heading, and with it the direction of the velocity.
+    Acceleration and turn rate are unknown constants, so what they add in dt depends on how long the gap has lasted.
+    fault: why the sample is not valid (`Fault`). After impossible turn rates (Fault.WHIRL) the heading is unknown, and
+    with it the direction of the velocity. Where the fixes contradict the IMU (Fault.DOUBTED) only the acceleration of a
+    land vehicle is added.
     """
     before = mem[r + Nav.BRIDGED]
     after = before + dt
@@ -278,8 +290,9 @@ def _bridge(mem, r, dt, m, fault):
 
 @njit(_nrt=False)
 def free_sensors(mem, r):
-    """Add to the covariance of row r the change of the sensor errors by a restart of the IMU
-    (`config.REPEATED_TURN_ON`)."""
+    """Add to the covariance of row r by how much a restart of the IMU may change its errors
+    (`config.REPEATED_TURN_ON`).
+    """
     n_navigation, m, p = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), int(mem[Head.ORDER])
     channels = int(mem[Head.CHANNELS])
     e = r + NAV + n_navigation + m + n_navigation * (n_navigation + 1) // 2 + m * n_navigation
@@ -295,14 +308,17 @@ def _series(x):
 
 @njit
 def _decay(x):
-    """exp(-x), x >= 0. Its series is exact to rounding for small x, which it always is at IMU rate."""
+    """exp(-x), x >= 0. Below SERIES, as always at IMU rate, the series is used: it is exact to rounding."""
     return _series(x) if x < SERIES else math.exp(-x)
 
 
 @njit(_nrt=False)
 def _decays(mem, at, dt, m):
-    """Write to `at` by what each of the m augmented states decays in dt. Apart, as the compiler takes several at once,
-    and would compute the exponentials of all of them before it chooses."""
+    """Write to `at` the factor by which each of the m augmented states decays in dt, s.
+
+    The series is computed in a loop of its own: the compiler vectorizes it, and in one loop with the choice it would
+    compute all exponentials as well.
+    """
     at, largest = nonnegative(at), 0.0
     for j in range(m):
         x = dt * mem[decay_at(j)]
@@ -315,20 +331,22 @@ def _decays(mem, at, dt, m):
 
 @njit(inline='always')
 def _sensor_states(mem, src, dst, dt, size, m, p):
-    """Predict the m augmented states, which follow `size` navigation errors: x and P, including the steps of AR(p). The
-    navigation rows of the cross block have been predicted before."""
+    """Predict x and P of the m augmented states, which follow `size` navigation errors, with the steps of AR(p).
+
+    The cross block in dst already contains the prediction of its navigation rows.
+    """
     x = NAV + size
     b = x + m + size * (size + 1) // 2
     e = b + size * m
     decays = nonnegative(int(mem[Head.SCRATCH_AT]))
-    scaled = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # states whose driving noise trust/drift.py scales
+    scaled = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # number of states whose process noise trust/drift.py scales
     _decays(mem, decays, dt, m)
     for j in range(m):
         decay, column, before, row = mem[decays + j], dst + b + size * j, src + e + m * j, dst + e + m * j
         mem[dst + x + j] = decay * mem[src + x + j]
         for i in range(size):
             mem[column + i] *= decay
-        for i in range(m):  # both halves of the symmetric block keep the same bits
+        for i in range(m):  # the block stays symmetric to the last bit
             mem[row + i] = decay * mem[decays + i] * mem[before + i]
         drift = mem[src + Drift.RATIO + (j > 2)] if j < scaled else 1.0
         mem[row + j] += drift * (mem[walk_at(m, j)] * dt
@@ -357,7 +375,7 @@ def _autoregressive(mem, src, dst, dt, size, m, p):
 
 @njit(inline='always')
 def _step_channel(mem, dst, size, m, p, channel, channels):
-    """One step of one channel's AR(p): companion matrix applied to x and to both sides of P, and b0^2 added."""
+    """One step of one channel's AR(p): apply the companion matrix to x and to both sides of P, and add b0^2."""
     x = NAV + size
     b = x + m + size * (size + 1) // 2
     e = b + size * m
@@ -371,7 +389,7 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
         row = nonnegative(dst + e + m * i + start)
         if start <= i < start + p:
             _companion(mem, row, 1, p, a)
-        else:  # the mirror image of what was done to the rows
+        else:  # copied from the rows, so that P stays symmetric
             for k in range(p):
                 mem[row + k] = mem[nonnegative(dst + e + m * (start + k) + i)]
     if mem[Head.HISTORY_AT] > 0.0:
@@ -383,8 +401,8 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
 
 @njit(inline='always')
 def _companion(mem, at, stride, p, a):
-    """Companion matrix times p elements v, `stride` apart: y = -a_1 v_1 - ... - a_p v_p comes first, the others shift.
-    """
+    """Multiply p elements v, `stride` apart, by the companion matrix: the first becomes -a_1 v_1 - ... - a_p v_p, the
+    others move on by one. a: position of the coefficients."""
     if p == 2:  # the usual order, without a loop
         first = mem[at]
         mem[at] = -mem[a + 1] * mem[at + stride] - mem[a] * first
@@ -400,7 +418,7 @@ def _companion(mem, at, stride, p, a):
 
 @njit(_nrt=False, fastmath={'contract'})
 def _step_strapdown(mem, src, dst, sample, dt, m, p):
-    """One interval of the strapdown mechanization."""
+    """Predict one interval of dt, s, with the strapdown mechanization; m augmented states, p states per channel."""
     src, dst, sample, m, p = nonnegative(src), nonnegative(dst), nonnegative(sample), nonnegative(m), nonnegative(p)
     x = NAV + 9
     a = x + m
@@ -436,8 +454,9 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         k, q, r = nonnegative(src + b + 9 * j), nonnegative(src + e + j), dst + b + 9 * j
         _store(mem, r, _strapdown_column(mem, transition, k, 1, q, m * p), 0)
 
-    # Phi P, column by column, then (Phi P) Phi^T, row by row. Scratch: P_nn at s, the transpose of Phi P at g, and at u
-    # the columns of the six sensors with their white noise, which is treated as an error constant over the interval
+    # Phi P, column by column, then (Phi P) Phi^T, row by row. In the scratch: P_nn at s, the transpose of Phi P at g,
+    # and at u the columns of the six sensors with their white noise, which is treated as an error that is constant over
+    # dt
     s = nonnegative(int(mem[Head.SCRATCH_AT]))
     g, u = s + 81, s + 162
     for i in range(9):
@@ -458,7 +477,8 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         _add(mem, q, k, white_f, (h * x, h * y, h * z, x, y, z, 0.0, 0.0, 0.0))
         _add(mem, q + 27, k + 27 * p, white_w, (
             h * turned[0], h * turned[1], h * turned[2], turned[0], turned[1], turned[2], x, y, z))
-    # of a symmetric matrix, so that of the rows of velocity and attitude only the end is computed
+    # the result is symmetric: of the rows of velocity and attitude only the elements from the diagonal block on are
+    # needed
     for i in range(3):
         _store(mem, s, _strapdown_column(mem, transition, nonnegative(g + i), 9, nonnegative(u + i), 9), 0)
         _copy_row(mem, s, dst + a, i)
@@ -473,8 +493,8 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
 
 @njit(inline='always')
 def _copy_row(mem, source, to, i):
-    """Row i of a matrix (9, 9) from the diagonal on, of which `source` is the position of the whole row, to the packed
-    triangle at `to`."""
+    """Copy row i of a matrix (9, 9), from the diagonal on, to the packed triangle at `to`. source: position of the row.
+    """
     line = nonnegative(to + packed(i, i, 9) - i)
     for j in range(i, 9):
         mem[line + j] = mem[source + j]
@@ -489,6 +509,6 @@ def _add(mem, to, source, factor, values):
 
 @njit(inline='always')
 def _store(mem, at, values, first):
-    """Write nine values in succession, those from number `first` on."""
+    """Write the values number `first` to 8 to at + first, ..., at + 8."""
     for i in range(first, 9):
         mem[at + i] = values[i]

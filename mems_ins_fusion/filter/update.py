@@ -1,8 +1,9 @@
-"""Correction of a state by a measurement (Eq. 6 to 8): one way for fixes, speeds, headings, constraints, standstills.
+"""Correction of a state by a measurement (Eq. 6 to 8), the same for fixes, speeds, headings, constraints, standstills.
 
-A measurement fills its record and its rows of H (see `measurements`); `update` forms the innovation, looks at how well
-it fits, and corrects. All work on the flat memory of the filter: `r` is the position of a state, `at` of a record.
-Who asks for it: `apply.py` (what is measured) and `constraints.py` (what is known of a vehicle).
+A measurement fills its record and its rows of H (see `measurements`); `update` forms the innovation, applies the
+innovation gate and the robust weight, and corrects. All functions work on the flat memory of the filter: `r` is the
+position of a state, `at` that of a record (`Event`). Called by `apply.py` (measurements) and `constraints.py` (vehicle
+constraints).
 """
 from __future__ import annotations
 
@@ -25,13 +26,15 @@ from .memory import (
     store_covariance,
 )
 
-#: sigmas: what fits worse than this is weighted down to it; of fixes it is a parameter
+#: sigmas: for a larger normalized innovation R is raised until it has this value (Huber). For fixes, the parameter
+#: gnss.robust_sigma takes its place and has the same default. A quarter of it costs 911 m in one drive
+#: (docs/ablation.md)
 ROBUST = 3.0
 
 
 @njit(_nrt=False)
 def project(mem, n, h, column):
-    """P H^T of the row H at `h` into `column` (n,); P stands at the begin of the scratch. H P H^T."""
+    """Write P H^T to `column` (n,) and return H P H^T. h: position of the row H; P is at the begin of the scratch."""
     p, h, column = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(h), nonnegative(column)
     for i in range(n):
         mem[column + i] = 0.0
@@ -45,7 +48,7 @@ def project(mem, n, h, column):
 
 @njit(_nrt=False)
 def product(mem, n, h, column):
-    """The row H at `h` times a column."""
+    """Product of the row H at `h` and the vector at `column`."""
     h, column, total = nonnegative(h), nonnegative(column), 0.0
     for i in range(n):
         total += mem[h + i] * mem[column + i]
@@ -54,9 +57,10 @@ def product(mem, n, h, column):
 
 @njit(_nrt=False)
 def correct_by_scalar(mem, r, n, h, column, z, s):
-    """One scalar measurement z = H x + noise: the row H at `h`, P H^T at `column`, variance of the innovation s.
+    """Correct x and P with one scalar measurement z = H x + noise.
 
-    P - K H P, of which both halves are the same bits: symmetric by construction.
+    h, column: positions of the row H and of P H^T. s: variance of the innovation. P - K H P is computed such that P
+    stays symmetric to the last bit.
     """
     p, x, h, column = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(r + NAV), nonnegative(h), nonnegative(column)
     residual, inverse = z - product(mem, n, h, x), 1.0 / s
@@ -71,17 +75,18 @@ def correct_by_scalar(mem, r, n, h, column, z, s):
 
 @njit(_nrt=False)
 def normalized_square(a, b, s_nn, s_ne, s_ee):
-    """Normalized square of the innovation (a, b) with the covariance s."""
+    """Normalized innovation squared (NIS) of the innovation (a, b) with the covariance [[s_nn, s_ne], [s_ne, s_ee]]."""
     return (s_ee * a * a - 2.0 * s_ne * a * b + s_nn * b * b) / (s_nn * s_ee - s_ne * s_ne)
 
 
 @njit(_nrt=False)
 def update(mem, r, at, n, dimensions, factor, robust, gate, robust_alone):
-    """Correct the state at r with the record at `at`, whose rows of H stand behind P in the scratch.
+    """Correct the state at r with the record at `at`, whose rows of H follow P in the scratch. Returns the `Verdict`.
 
-    factor: on the covariance R of the record. robust: normalized innovations above it are weighted down to it. gate:
-    those above it are refused; 0: none of that. The first two components are judged together, the third alone, with
-    robust_alone for robust. The verdict.
+    dimensions: number of components, 1 to 3. factor: multiplies the covariance R of the record. robust: for a larger
+    normalized innovation R is raised until it has this value. gate: a larger normalized innovation is refused. robust
+    or gate 0: not applied. The first two components have one normalized innovation; the third has its own, with
+    robust_alone for robust, and where it is beyond the gate only the third is left out.
     """
     p = int(mem[Head.SCRATCH_AT])
     h = p + n * n
@@ -112,7 +117,7 @@ def update(mem, r, at, n, dimensions, factor, robust, gate, robust_alone):
         verdict = Verdict.WEIGHTED
         mem[at + Event.WEIGHT] = 1.0 / (1.0 + inflation)
 
-    # the first two made independent by the Cholesky factor of R, then one after the other
+    # the first two are decorrelated with the Cholesky factor of R, then applied one after the other
     if dimensions > 2:
         s_dd = r_dd + project(mem, n, h + 2 * n, column)
         mem[at + Event.S_DD] = s_dd
@@ -143,7 +148,8 @@ def update(mem, r, at, n, dimensions, factor, robust, gate, robust_alone):
 
 @njit(_nrt=False)
 def feed_back(mem, r):
-    """Closed loop: the estimated navigation errors go into the solution, and x is zero there again."""
+    """Closed loop: correct the navigation solution by the estimated errors and set these to zero. Open loop: nothing.
+    """
     if mem[Head.OPEN_LOOP] != 0.0:
         return
     x, size = r + NAV, int(mem[Head.N_NAVIGATION])
@@ -159,20 +165,22 @@ def feed_back(mem, r):
 
 @njit(_nrt=False)
 def _error(mem, x, error):
-    """The estimate of one of the nine navigation errors, zero where the mechanization has it not; x: of position 0."""
+    """Estimate of one of the nine navigation errors (`Error`), zero where it is not a state; x: position of state 0."""
     state = row_of(mem, error)
     return mem[x + state] if state >= 0 else 0.0
 
 
 @njit(_nrt=False)
 def scratch_of(mem):
-    """Number of states, and where P of a state stands in the scratch while it is corrected."""
+    """Number of states n, and the position in the scratch of P (n, n) of the state that is being corrected."""
     return int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED]), int(mem[Head.SCRATCH_AT])
 
 
 @njit(_nrt=False)
 def begin_update(mem, r):
-    """P of the state at r in the scratch, and no rows of H behind it: the number of states, and where the rows begin.
+    """Write P of the state at r to the scratch and set the rows of H behind it to zero.
+
+    Returns the number of states n and the position of the first row of H.
     """
     n, p = scratch_of(mem)
     load_covariance(mem, r, int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), mem, p)
@@ -182,12 +190,13 @@ def begin_update(mem, r):
 
 @njit(_nrt=False)
 def end_update(mem, r):
-    """The corrected P from the scratch to the state at r, and the estimated errors into its solution."""
+    """Write the corrected P from the scratch to the state at r, and feed the estimated errors back (`feed_back`)."""
     store_covariance(mem, int(mem[Head.SCRATCH_AT]), int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), mem, r)
     feed_back(mem, r)
 
 
 @njit(_nrt=False)
 def clear_rows(mem, h, n):
+    """Set the three rows of H at `h` to zero."""
     for i in range(3 * n):
         mem[h + i] = 0.0

@@ -1,6 +1,6 @@
 """WGS-84: radii of curvature, normal gravity, and the local level frame at a datum.
 
-The scalar functions are compiled and serve the kernel; `radii` and `gravity` also take arrays.
+The scalar functions are compiled and used by the kernel; `radii` and `gravity` also accept arrays.
 Source: NIMA TR8350.2, "Department of Defense World Geodetic System 1984", third edition.
 """
 from __future__ import annotations
@@ -65,8 +65,8 @@ def _to_geodetic(x, y, z):
 def to_local(latitude, longitude, height, datum):
     """Position in the local level frame `n` (north, east, down; m) at `datum` (latitude, longitude, height).
 
-    Angles in rad; arrays or scalars. The frame is the plane that touches the ellipsoid's level surface at the datum,
-    as in REP-105: far from the datum the ground falls below it.
+    Angles in rad; arrays or scalars. The horizontal plane of the frame touches the level surface at the datum, as in
+    REP-105: far from the datum the ground is below this plane.
     """
     x, y, z = _to_ecef(latitude, longitude, height)
     x0, y0, z0 = _to_ecef(datum[0], datum[1], datum[2])

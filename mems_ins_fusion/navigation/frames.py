@@ -1,6 +1,7 @@
-"""The edge between ROS and the inside: east-north-up to north-east-down, forward-left-up to forward-right-down.
+"""Conversions between the axes of ROS (REP 103 and 105) and those of this package: east-north-up to north-east-down,
+forward-left-up to forward-right-down.
 
-REP 103 and 105. Sensor axes `s` reach body axes `b` through the mounting rotation, which a user states in REP terms.
+The mounting rotation, which users give in REP 103 axes, converts from sensor axes `s` to body axes `b`.
 """
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ import math
 
 import numpy as np
 
-#: turns a forward-left-up vector into forward-right-down, and back
+#: converts a vector from forward-left-up to forward-right-down axes, and back
 FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
 
 
@@ -22,19 +23,19 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> np.ndarray:
 
 
 def mounting(rpy) -> np.ndarray:
-    """Rotation from sensor axes `s` to body axes `b` (forward-right-down) of `imu.mounting_rpy`."""
+    """Rotation (3, 3) from sensor axes `s` to body axes `b` (forward-right-down). rpy: `imu.mounting_rpy`, rad."""
     rotation = FLU_TO_FRD @ rotation_from_rpy(*rpy)
-    # quarter turns are what people mean, to the last digit
+    # elements that are zero but for rounding are set to zero: quarter turns are exact
     return np.where(np.abs(rotation) < 1e-15, 0.0, rotation)
 
 
 def ned_from_enu(vector: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) north-east-down of vectors east-north-up, and the other way round. A NaN stays where it is."""
+    """Vectors (..., 3) converted from east-north-up to north-east-down, or back. A NaN stays in its component."""
     return vector[..., [1, 0, 2]] * (1.0, 1.0, -1.0)
 
 
 def ned_covariance_from_enu(covariance: np.ndarray) -> np.ndarray:
-    """Covariances (..., 3, 3) of vectors north-east-down from those of vectors east-north-up, and back."""
+    """Covariances (..., 3, 3) of vectors converted from east-north-up to north-east-down, or back."""
     return np.swapaxes(ned_from_enu(np.swapaxes(ned_from_enu(covariance), -1, -2)), -1, -2)
 
 
@@ -44,13 +45,13 @@ def wrap(angle):
 
 
 def near(angle, other):
-    """`angle` (rad, scalar or array) less the whole turns that bring it within half a turn of `other`: the same bits
-    where it is that near. Longitudes jump by a turn at 180 degrees, a track does not."""
+    """`angle` (rad, scalar or array) plus the whole turns that bring it within half a turn of `other`; unchanged to the
+    last bit if it is that near. Makes longitudes continuous across the antimeridian."""
     return angle - 2 * math.pi * np.round((angle - other) / (2 * math.pi))
 
 
 def yaw_from_enu(angle):
-    """Yaw clockwise from north of a yaw counter-clockwise from east, and the other way round; rad."""
+    """Yaw converted from counter-clockwise from east to clockwise from north, or back; rad."""
     return wrap(math.pi / 2 - angle)
 
 
@@ -66,9 +67,9 @@ def yaw_of_quaternion(x, y, z, w):
 
 
 def leveling(specific_force: np.ndarray) -> np.ndarray:
-    """The smallest rotation (3, 3) that makes `specific_force` (3,), seen at rest in body axes, point straight up (-z).
+    """The smallest rotation (3, 3) that turns `specific_force` (3,), measured at rest in body axes, straight up (-z).
 
-    Upside down, where each horizontal axis would do, it turns about x; a zero force has no direction and is left.
+    For a force straight down any horizontal axis would do, and x is taken; for a zero force it is the identity.
     """
     up = specific_force / (np.linalg.norm(specific_force) or 1.0)
     axis = np.cross(up, [0.0, 0.0, -1.0])

@@ -2,7 +2,8 @@
 
 State: v_n, v_e (m/s), yaw (rad, clockwise from north); position follows from the velocity. Input over one interval of
 length dt: f_x, f_y (m/s^2, forward and right) and w_z (rad/s, about down), sensor errors already removed.
-DESIGN section 3; the paper, section 4.
+
+Source: section 4 of the paper.
 """
 from __future__ import annotations
 
@@ -39,7 +40,7 @@ def rotate(yaw, dt, f_x, f_y, w_z):
 
 @njit
 def mechanize(v_n, v_e, yaw, f_x, f_y, w_z, dt):
-    """One interval: (north, east displacement in m, v_n, v_e, yaw)."""
+    """Mechanize one interval of dt, s. Returns displacement north and east, m, and v_n, v_e, yaw at its end."""
     f_n, f_e, _, _ = rotate(yaw, dt, f_x, f_y, w_z)
     dv_n, dv_e = dt * f_n, dt * f_e
     return dt * (v_n + 0.5 * dv_n), dt * (v_e + 0.5 * dv_e), v_n + dv_n, v_e + dv_e, yaw + dt * w_z
@@ -47,11 +48,11 @@ def mechanize(v_n, v_e, yaw, f_x, f_y, w_z, dt):
 
 @njit
 def error_step(dt, f_n, f_e, c, s, r_n, r_e, v_n, v_e, yaw, f_x, f_y, w_z):
-    """The same interval for a small error of the state: one column times the transition matrix (Eq. 18, corrected).
+    """Propagate small errors over one interval: the transition matrix (Eq. 18, corrected) times one column.
 
-    Arguments r_n to w_z are the errors before the interval (the last three those of the sensors), the result the
-    errors r_n, r_e, v_n, v_e, yaw after it. This is the derivative of `mechanize`: the errata of Eq. 18 are that
-    a yaw error rotates the specific force, so that the two entries of column 5 have opposite signs.
+    f_n, f_e, c, s: of `rotate`. r_n to w_z: errors before the interval, the last three those of the sensors. Returns
+    the errors r_n, r_e, v_n, v_e, yaw after it. This is the derivative of `mechanize`. Eq. 18 of the paper is
+    corrected: a yaw error rotates the specific force, so the two entries of column 5 have opposite signs.
     """
     turned = yaw + 0.5 * dt * w_z
     u_n = dt * (c * f_x - s * f_y - f_e * turned)

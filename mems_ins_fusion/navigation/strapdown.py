@@ -96,7 +96,7 @@ def to_euler(q):
 
 @njit
 def correct_attitude(q, phi_n, phi_e, phi_d):
-    """`q` with the attitude error phi taken out, normalized."""
+    """Quaternion `q` corrected by the attitude error phi (rad, in `n`), normalized."""
     r = multiply(from_rotation_vector(-phi_n, -phi_e, -phi_d), q)
     scale = 1.0 / math.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + r[3] * r[3])
     return r[0] * scale, r[1] * scale, r[2] * scale, r[3] * scale
@@ -111,9 +111,11 @@ def frame_rates(latitude, v_n, v_e, north_radius, east_radius):
 
 @njit
 def mechanize(q, v_n, v_e, v_d, f, w, dt, gravity, rates):
-    """One interval: (quaternion, C of mid-interval, f in n, displacement in n, velocity).
+    """Mechanize one interval of dt, s.
 
-    f (m/s^2), w (rad/s): specific force and angular rate in `b`, tuples. gravity: m/s^2. rates: of `frame_rates`.
+    q: quaternion from b to n. f (m/s^2), w (rad/s): specific force and angular rate in `b`, tuples. gravity: m/s^2.
+    rates: of `frame_rates`. Returns quaternion, C of mid-interval, f in `n`, displacement in `n` (m) and velocity in
+    `n` (m/s) at its end.
     """
     e_n, e_d, t_n, t_e, t_d = rates
     half = multiply(from_rotation_vector(-0.5 * dt * (e_n + t_n), -0.5 * dt * t_e, -0.5 * dt * (e_d + t_d)),
@@ -138,18 +140,19 @@ def mechanize(q, v_n, v_e, v_d, f, w, dt, gravity, rates):
 
 @njit
 def transition(dt, c, f):
-    """What `error_step` needs of one interval: dt, C and f times dt. c: C of mid-interval, f: specific force in `n`."""
+    """Argument `step` of `error_step` for one interval: dt, C and f times dt. c: C of mid-interval. f: specific force
+    in `n`."""
     return (dt, dt * c[0], dt * c[1], dt * c[2], dt * c[3], dt * c[4], dt * c[5], dt * c[6], dt * c[7], dt * c[8],
             dt * f[0], dt * f[1], dt * f[2])
 
 
 @njit
 def error_step(step, r, v, phi, df, dw):
-    """The same interval for a small error of the state: one column times the transition matrix.
+    """Propagate small errors over one interval: the transition matrix times one column.
 
-    step: of `transition`. r, v, phi: errors of position (m), velocity and attitude before the interval; df, dw: those
-    of the sensors, in `b`. Result: the nine errors after it. Errors of the frame rates and of gravity (Schuler, 84
-    minutes) are left out: they are far below a MEMS sensor's.
+    step: of `transition`. r, v, phi: errors of position (m), velocity (m/s) and attitude (rad) before the interval. df,
+    dw: errors of the sensors, in `b`. Returns the nine errors after the interval. Errors of the frame rates and of
+    gravity (Schuler oscillation, 84 minutes) are neglected: they are far below those of a MEMS sensor.
     """
     dt, c0, c1, c2, c3, c4, c5, c6, c7, c8, f_n, f_e, f_d = step
     w_n = c0 * dw[0] + c1 * dw[1] + c2 * dw[2]

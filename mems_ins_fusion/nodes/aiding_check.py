@@ -1,5 +1,5 @@
-"""Whether speed, velocity and heading are what their parameters say, looked at while the vehicle drives: in the words,
-and with the code, of the checks that a recording passes."""
+"""Checks of speed, velocity and heading against their parameters while the vehicle drives, with the code and the
+messages of the checks for recordings (`recordings.aiding`)."""
 from __future__ import annotations
 
 from collections import deque
@@ -12,21 +12,21 @@ from ..recordings.aiding import COMPARED, check_aiding
 from ..recordings.findings import INFO
 from ..samples import SECOND, Fixes
 
-#: Hz at which samples of each input are kept: a vehicle does not change faster
+#: Hz, rate at which samples of each input are kept: the motion of a vehicle has no higher frequencies
 RATE = 10.0
-#: s for which they are kept: some bends and stops
+#: s for which samples are kept: some bends and stops
 MEMORY = 240.0
-#: s from one check of an input to the next
+#: s between two checks of an input
 PERIOD = 5.0
-#: checks with something to compare, after which there is no other: a minute of them
+#: number of checks with data to compare, after which checking ends: a minute of them
 LOOKS = 12
 
 
 class AidingCheck:
-    """Collects what the inputs with a topic in `values` (checked parameters) and the fixes say, and compares them now
-    and then until LOOKS are through.
+    """Collects the samples of the fixes and of the inputs with a topic in `values` (checked parameters), and compares
+    them each PERIOD until LOOKS checks are done.
 
-    found: by name, the finding of the newest look that is worth a word, as (level, text).
+    found: by name of the input, level and text of the worst finding of the newest check.
     """
 
     def __init__(self, values: dict):
@@ -38,17 +38,18 @@ class AidingCheck:
         self.found: dict[str, tuple[str, str]] = {}
 
     def add(self, name: str, stamp: int, numbers: tuple) -> None:
-        """A measurement of any input: stamp (ns), and value and (co)variance as the filter takes them."""
+        """Add a measurement of any input: stamp (ns), and value and (co)variance as for the filter."""
         if name in self._rows:
             _add_thinned(self._rows[name], (stamp, *numbers))
 
     def add_fix(self, fix: tuple) -> None:
-        """stamp (ns), latitude, longitude (rad), height (m), nine of the covariance (m^2), status, covariance type."""
+        """Add a fix: stamp (ns), latitude, longitude (rad), height (m), nine elements of the covariance (m^2), status,
+        covariance type."""
         if self._rows:
             _add_thinned(self._fixes, fix)
 
     def look(self) -> list[tuple[str, str, str]]:
-        """Where a look is due: name, level and text of what was not found before."""
+        """Do the checks that are due; name, level and text of each new finding."""
         now = self._fixes[-1][0] if self._fixes else 0
         if 0 <= self._due - now <= PERIOD * SECOND or len(self._fixes) < 2:
             return []
@@ -58,7 +59,7 @@ class AidingCheck:
             try:
                 with np.errstate(all='ignore'):
                     compared, found = self._judge(name)
-            except (ValueError, ArithmeticError, np.linalg.LinAlgError):  # numbers that no vehicle gives
+            except (ValueError, ArithmeticError, np.linalg.LinAlgError):  # values that are numerically impossible
                 continue
             self._looks[name] -= compared
             before = self.found.pop(name, None)
@@ -90,6 +91,6 @@ class AidingCheck:
 
 
 def _add_thinned(rows: deque, row: tuple) -> None:
-    """Append `row`, whose first is a stamp, where the one before it is old enough, or of another clock."""
+    """Append `row`, which begins with a stamp, if the previous row is old enough (RATE), or of another clock."""
     if not rows or not 0 <= row[0] - rows[-1][0] < 0.9 * SECOND / RATE:
         rows.append(row)

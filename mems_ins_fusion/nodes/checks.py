@@ -1,4 +1,4 @@
-"""What must fit together in a node's parameters, each with one line that says what does not."""
+"""Checks that the parameters of a node do not contradict each other, with one line for each contradiction."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -10,13 +10,13 @@ from ..filter.measurements.registry import further_inputs
 from ..guard import one_line
 from ..parameters.parameter import ParameterError
 
-#: parameters that name a topic the node listens to, and those it speaks on
+#: parameters with the topics that the node subscribes to, and those with the topics on which it publishes
 INPUTS = ('imu_topic', 'gnss_topic', 'temperature_topic', 'initial_pose_topic')
 OUTPUTS = ('odometry_topic', 'fix_topic', 'pose_topic')
 
 
 def check_together(values: dict, resolve: Callable[[str], str]) -> None:
-    """ParameterError where `values` contradict each other. resolve: a topic's full name, with remappings."""
+    """Raise ParameterError if `values` contradict each other. resolve: gives a topic's full name, with remappings."""
     _check_topics(values, resolve)
     _check_frames(values)
     if values['predict_to_now'] and not values['odometry_rate']:

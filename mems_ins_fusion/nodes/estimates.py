@@ -1,4 +1,4 @@
-"""The filter's newest estimate on its topics: in the frames, axes and dimensions, and at the rate, asked for."""
+"""Publishes the filter's newest estimate, in the frames, axes and dimensions and at the rate of the parameters."""
 from __future__ import annotations
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -14,18 +14,18 @@ from ..samples import SECOND
 from .log import Log
 from .output import MapOutput, Output, Prediction, SmoothFrame, VehicleAxes, flatten
 
-#: ten messages are kept for a slow listener: an odometry that is older than ten samples helps nobody
+#: ten messages are kept for a slow subscriber: an odometry that is older than ten samples is of no use
 _QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-#: of /tf, as tf2's broadcasters have it
+#: quality of service of /tf, as in tf2's broadcasters
 _TF_QOS = QoSProfile(depth=100)
-#: of topics with few messages: who listens later gets the newest
+#: quality of service of topics with few messages: a later subscriber gets the newest one
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: events: the executor would ask after each of them at each sample; the other side reports them, too
+#: no callbacks for events: the executor would check each of them at each sample; the subscriber reports them as well
 NO_EVENTS = {'event_callbacks': PublisherEventCallbacks(use_default_callbacks=False)}
 
 
 class Estimates:
-    """Publishes what `fusion` estimates, as `values` (checked parameters of the node) ask for it."""
+    """Publishes the estimates of `fusion`, as specified by `values` (checked parameters of the node)."""
 
     def __init__(self, node: Node, fusion: FusionFilter, values: dict, log: Log):
         self._node, self._fusion, self._values, self._log = node, fusion, values, log
@@ -59,7 +59,7 @@ class Estimates:
             self._send += [(publisher.publish, transform) for transform in transforms]
 
     def set_rate(self, rate: float) -> None:
-        """Messages at `rate`, Hz, from now on; 0: one for each sample."""
+        """Publish at `rate`, Hz, from now on; 0: a message for each sample."""
         self._period = round(SECOND / rate) if rate else 0
         if self._prediction:
             if self._timer is not None:
@@ -72,7 +72,7 @@ class Estimates:
             self._newest = self._update()
             if self._smooth:
                 self._smooth.advance(self._newest)
-                if not self._fusion.aligned:  # by as much as a heading that nobody knows is wrong nothing has drifted
+                if not self._fusion.aligned:  # while the heading is unknown, its error is not a drift of the frame
                     self._smooth.settle()
             if self._prediction:  # published by the clock
                 return
@@ -85,11 +85,12 @@ class Estimates:
         self._send_all(self._newest or self._update())
 
     def stop(self) -> None:
-        """There is no estimate any more."""
+        """The filter has no estimate any more."""
         self._newest = None
 
     def _update(self) -> int:
-        """The newest estimate in the filter's arrays, in the axes and with the dimensions asked for; its stamp, ns."""
+        """Write the newest estimate to the filter's arrays, in the axes and dimensions of the parameters; returns its
+        stamp, ns."""
         stamp = self._fusion.update_odometry()
         if self._vehicle:
             self._vehicle.turn()
@@ -104,7 +105,7 @@ class Estimates:
             publish(output)
 
     def _send_prediction(self) -> None:
-        """The newest estimate, predicted to now: by the clock, whenever samples come."""
+        """Publish the newest estimate, predicted to the present time; called by a timer."""
         if self._newest is None:
             return
         now = self._node.get_clock().now().nanoseconds

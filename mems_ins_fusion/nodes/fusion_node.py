@@ -1,8 +1,8 @@
 """fusion_node: IMU and GNSS live in, odometry out.
 
 Subscribes sensor_msgs/Imu and sensor_msgs/NavSatFix, publishes nav_msgs/Odometry and the fused position as
-sensor_msgs/NavSatFix. All computation is in the filter; here messages become numbers, and services and parameters
-calls of the filter. What goes out: `estimates.py`, `verdicts.py`; what is said of it all: `monitor.py`.
+sensor_msgs/NavSatFix. All computation is in the filter; this file converts messages to numbers, and services and
+parameters to calls of the filter. Outputs: `estimates.py`, `verdicts.py`; diagnostics and log: `monitor.py`.
 """
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ from .status import BEFORE_START
 from .verdicts import Verdicts
 
 NAME = 'fusion_node'
-#: a state file is written this often, s: what a loss of power takes, for 10 ms of work
+#: s between two writes of the state file, 10 ms of work each: a loss of power loses no more than this
 _SAVE_PERIOD = 10.0
-#: what the filter says is looked at this often where no message brings it out, s
+#: s between two looks for messages of the filter to the user, in addition to those at each message of an input
 _REPORT_PERIOD = 0.2
-#: s without a temperature that are no silence: they come once a second or less often
+#: s without a temperature after which its topic is silent: temperatures come once a second or less often
 _TEMPERATURE_PATIENCE = 30.0
 
 
@@ -65,13 +65,13 @@ class FusionNode(Node):
         self._values = values = declare(self, argv, (*FILTER, *FUSION), changeable=changeable)
         check_together(values, self.resolve_topic_name)
         if values['publish_tf']:
-            tf_message()  # what is missing is said before anything takes time
+            tf_message()  # report a missing package before anything takes time
         self._log = Log(self.get_logger())
         self._state_file = self._open_state_file(values)
         values |= geometry_from_tf(self, values, stop)
         self._identity = identity.Identity((identity.IMU, identity.GNSS))
         self._given, kept = {**values}, self._findings_of_earlier_drives(values)
-        self._applied = {one.name: one.sets for one in kept}  # what was found while driving
+        self._applied = {one.name: one.sets for one in kept}  # findings of the diagnosis while driving
         began, without = with_applied(values, self._applied)
         values.update(began)
         make = FusionFilter if values['diagnosis.online'] == 'off' else ChangingFilter
@@ -121,7 +121,7 @@ class FusionNode(Node):
     def report(self) -> None:
         """Log and publish what the filter has to say since the last time."""
         for notice in (*self._filter.notices(), *(self._imus.notices() if self._imus else ())):
-            # what the filter waits for would not help where the mounting is certainly wrong
+            # while the mounting is certainly wrong, messages on what the filter waits for would mislead
             if notice.level != 'info' or not self._monitor.mounting.is_certainly_wrong:
                 self._log.say(notice.level, notice.text)
         self._verdicts.publish()
@@ -131,7 +131,7 @@ class FusionNode(Node):
         self._monitor.look()
         self._publish_datum()
 
-    # --- what comes in ---
+    # --- inputs ---
 
     def _subscribe(self, values) -> list[Input]:
         """All inputs, the IMU and the fixes first."""
@@ -151,7 +151,7 @@ class FusionNode(Node):
         return inputs
 
     def _further_imu(self, queue, i) -> Input:
-        """The input of IMU number i, one beside the first."""
+        """The input of the further IMU number i."""
         def on_message(message, info):
             traffic = imu.traffic
             traffic.take(message.header, info)
@@ -162,7 +162,7 @@ class FusionNode(Node):
         return imu
 
     def _on_imu(self, message, info):
-        """The hot path: no formatting, no new message, no look-up of a parameter."""
+        """Called for each sample, so it is kept fast: no formatting, no new message, no look-up of a parameter."""
         self._imu.traffic.take(message.header, info)
         force, force_unit = message.linear_acceleration, self._force_unit
         rate, rate_unit = message.angular_velocity, self._rate_unit
@@ -182,7 +182,7 @@ class FusionNode(Node):
             self._take_all(self._imus.add(0, now, sample[1:4], sample[4:]), now, (x, y, z, w))
 
     def _take_all(self, samples, stamp=None, orientation=(0.0,) * 4):
-        """The samples of several IMUs combined into one; orientation: of the sample with this stamp."""
+        """Combine the samples of several IMUs; orientation: of the sample with this stamp."""
         for now, numbers in samples:
             self._take((now, *numbers), *(orientation if now == stamp else (0.0,) * 4))
 
@@ -218,7 +218,7 @@ class FusionNode(Node):
             self._resume(stamp, latitude, longitude, message.altitude)
         fix = (stamp, latitude, longitude, message.altitude, message.position_covariance.copy(), message.status.status,
                message.position_covariance_type)
-        # without a fix drivers tell no service
+        # without a fix, drivers do not fill status.service
         if self._identity.is_unknown(identity.GNSS) and message.status.status >= 0:
             self._identify(identity.GNSS, stamp, {'frame_id': message.header.frame_id,
                                                   'service': message.status.service})
@@ -242,7 +242,7 @@ class FusionNode(Node):
     # --- starts, stops and datum ---
 
     def _begin(self):
-        """The start pose of the parameters, at the first sample."""
+        """Start at the start pose of the parameters, at the first sample."""
         if self._start is not None:
             start, self._start = self._start, None
             self.get_logger().info(f"starting from the parameter 'start_pose': {self._values['start_pose']}")
@@ -270,11 +270,11 @@ class FusionNode(Node):
         return state_file
 
     def _sensor_topics(self):
-        """Which sensors a calibration belongs to."""
+        """The topics of the sensors to which a calibration belongs."""
         return {name: self._values[name] for name in ('imu_topic', 'gnss_topic')}
 
     def _findings_of_earlier_drives(self, values):
-        """Those of the state file, where findings are to be applied."""
+        """The findings in the state file, if findings are to be applied."""
         if self._state_file is None or values['diagnosis.online'] != 'apply':
             return []
         kept, said = self._state_file.calibration(self._sensor_topics())
@@ -283,47 +283,47 @@ class FusionNode(Node):
         return kept
 
     def _identify(self, sensor, stamp, properties):
-        """Take what a message tells of its device; what was found on another one is not used."""
+        """Note the properties of the device that sends; findings from another device are not used."""
         self._identity.add(sensor, stamp, properties)
         known = self._identity.known
         if known is None or self._state_file is None or not self._applied:
             return
         others = identity.differences(self._state_file.devices(self._sensor_topics()), known)
         if others:
-            self.get_logger().warning(f"state file: another device than before ({', '.join(others)}): what was found "
-                                      f"on that is not used: {', '.join(self._applied)}")
+            self.get_logger().warning(f"state file: another device than before ({', '.join(others)}): findings from "
+                                      f"the earlier one are not used: {', '.join(self._applied)}")
             self._apply_findings(Findings({}, {}))
             self._online.ask('reject')
 
     def _apply_findings(self, findings):
-        """Set `findings` in the filter, beside the parameters that the node was given."""
+        """Set `findings` in the filter, in addition to the parameters that the node was given."""
         changes = self._set_applied(findings.applied)
         go_on(self._filter, self._values_without_findings(), findings, changes)
         if changes:
             self._save_if_asked()
 
     def _remove_dropped(self):
-        """Take out the findings that the filter has dropped."""
+        """Remove the findings that the filter has dropped."""
         for one in self._filter.dropped():
-            self._log.tell('warning', f'diagnosis.online: {one.name} is not true any more: dropped')
+            self._log.tell('warning', f'diagnosis.online: {one.name} is no longer valid: dropped')
             self._set_applied({name: sets for name, sets in self._applied.items() if name != one.name})
             self._online.dropped(one)
             self._save_if_asked()
 
     def _values_without_findings(self):
-        """The parameters that hold now, those with findings as they were given."""
+        """The present parameters; those changed by findings with the values that the node was given."""
         found = {name for sets in self._applied.values() for name in sets}
         return {**self._values, **{name: self._given[name] for name in found}}
 
     def _set_applied(self, applied):
-        """Take over the parameters with the findings `applied`; whether any value changes."""
+        """Use the parameters with the findings `applied`; whether any value changes."""
         before, (values, _) = dict(self._values), with_applied(self._values_without_findings(), applied)
         self._values.update(values)
         self._applied = applied
         said = ', '.join(f'{name}: {value} (before: {before[name]})' for name, value in values.items()
                          if value != before[name])
         if said:
-            self._log.tell('warning', f'diagnosis.online: the filter is to go on with {said}')
+            self._log.tell('warning', f'diagnosis.online: the filter will use {said}')
         return bool(said)
 
     def _resume(self, stamp, latitude, longitude, height):
@@ -347,7 +347,7 @@ class FusionNode(Node):
     def _save(self):
         snapshot = self._filter.snapshot()
         if snapshot is not None:
-            devices = self._identity.known  # a calibration without them could be anybody's
+            devices = self._identity.known  # without them, a calibration could not be assigned to its device
             said = self._state_file.write(snapshot, self._online.kept if self._online and devices else None,
                                           self._sensor_topics(), devices)
             if said:
@@ -386,7 +386,7 @@ class FusionNode(Node):
         self._publish_datum()
 
     def _publish_datum(self):
-        """Publish and log the datum where it is new."""
+        """Publish and log the datum if it is new."""
         datum = self._filter.datum
         if datum is None or self._datum == tuple(datum):
             return

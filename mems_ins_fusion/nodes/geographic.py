@@ -13,17 +13,17 @@ from ..navigation.frames import yaw_from_enu, yaw_of_quaternion
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL
 
-#: of a start pose without any, m^2: the first fix tells the height better
+#: m^2, variance of the height of a start pose that has none: the first fix gives a better height
 _HEIGHT_VARIANCE = 100.0
 
 
 def world_frame(values: dict) -> str:
-    """The frame east-north-up at the datum, by the node's parameters `values`."""
+    """Name of the frame that is east-north-up at the datum, from the node's parameters `values`."""
     return values['map_frame_id' if values['frames'] == 'map_odom' else 'frame_id']
 
 
 def start_from_parameters(values: dict) -> tuple:
-    """Arguments of the filter's `set_start` of the parameters start_pose and start_pose_sigma."""
+    """Arguments of the filter's `set_start` from the parameters start_pose and start_pose_sigma."""
     latitude, longitude, height, yaw = values['start_pose']
     position, heading = values['start_pose_sigma']
     return (math.radians(latitude), math.radians(longitude), height, yaw,
@@ -31,9 +31,9 @@ def start_from_parameters(values: dict) -> tuple:
 
 
 def start_from_pose(message, datum, frame_id: str) -> tuple:
-    """Arguments of `set_start` of a PoseWithCovarianceStamped in the frame east-north-up at `datum` (rad, rad, m).
+    """Arguments of `set_start` from a PoseWithCovarianceStamped in the frame east-north-up at `datum` (rad, rad, m).
 
-    Raises InputError with what is wrong with it.
+    Raises InputError if the message is not usable.
     """
     frame = message.header.frame_id
     if frame != frame_id:
@@ -51,7 +51,7 @@ def start_from_pose(message, datum, frame_id: str) -> tuple:
                          f'{covariance[3, 3]:g}')
     if np.linalg.eigvalsh(covariance[np.ix_([0, 1, 3], [0, 1, 3])]).min() <= 0.0:
         raise InputError('covariance of x, y, yaw is not positive definite')
-    # a two-dimensional tool says nothing of the height
+    # a two-dimensional tool gives no height
     covariance[2, 2] = covariance[2, 2] if covariance[2, 2] > 0.0 else _HEIGHT_VARIANCE
     place = from_local(position.y, position.x, -position.z, datum)
     yaw = float(yaw_from_enu(yaw_of_quaternion(q.x, q.y, q.z, q.w)))

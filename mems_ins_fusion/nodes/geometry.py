@@ -1,4 +1,4 @@
-"""How the IMU is mounted and where antennas and other sensors are, from tf."""
+"""Mounting of the IMU and lever arms of antennas and other sensors, from tf."""
 from __future__ import annotations
 
 import math
@@ -21,19 +21,19 @@ from ..recordings.transforms import has_frame, sensor_frame
 from .inputs import message_class
 from .run import Stop
 
-#: s after which the node says again what it waits for
+#: s between two messages on what the node waits for
 _SAY_AGAIN = 10.0
-#: s for which it waits for inputs besides IMU and antenna: one that does not come must not stop a vehicle
+#: s for which the node waits for inputs besides IMU and antenna: a missing one must not stop a vehicle
 _PATIENCE = 10.0
 #: frames of the world (REP 105), in which a sensor has no place
 _WORLD = frozenset({'map', 'odom', 'earth', 'world'})
 
 
 def geometry_from_tf(node: Node, values: Mapping, stop: Stop) -> dict:
-    """The parameters that the checked parameters `values` want taken from tf: imu.mounting_rpy, and lever arms.
+    """Values from tf for the parameters that are to come from tf: imu.mounting_rpy and lever arms.
 
-    Waits for the first messages of IMU and antenna and for their transforms; KeyboardInterrupt when `stop` is requested
-    meanwhile. ParameterError where tf2_ros is not installed.
+    values: checked parameters. Waits for the first messages of IMU and antenna and for their transforms. Raises
+    KeyboardInterrupt when `stop` is requested in this time, ParameterError where tf2_ros is not installed.
     """
     asked = [name for name in ('mounting_from_tf', 'arms_from_tf') if values[name]]
     if not asked:
@@ -70,14 +70,14 @@ def _mounting(transform) -> list[float]:
 
 
 def _arm(node, name, sensor, imu, values) -> list[float] | None:
-    """From the IMU to `sensor`, axes of the vehicle, m; None where tf does not tell, which is said."""
+    """From the IMU to `sensor`, axes of the vehicle, m; None, with a warning, where tf does not have it."""
     why = ''
     if sensor.transform is None:
         why = f'nothing from tf: {sensor.missing}'
     elif sensor.frame == imu.frame:
-        why = f"messages on {sensor.topic} have the IMU's frame '{imu.frame}', which says nothing about where it is"
+        why = f"messages on {sensor.topic} have the IMU's frame '{imu.frame}', not the frame of the sensor"
     elif sensor.frame in _WORLD | {values['frame_id'], values['map_frame_id']}:
-        why = f"messages on {sensor.topic} have '{sensor.frame}', a frame of the world, which is no place in a vehicle"
+        why = f"messages on {sensor.topic} have '{sensor.frame}', a frame of the world and not of the vehicle"
     if why:
         node.get_logger().warning(f'{name} stays {_text(values[name])} m: {why}')
         return None
@@ -93,7 +93,7 @@ def _text(values: Sequence[float]) -> str:
 
 
 class _Sensor:
-    """A topic whose first message names the frame of the sensor `what`. kinds: message types that it may carry."""
+    """A topic whose first message names the frame of the sensor `what`. kinds: message types that it may have."""
 
     def __init__(self, node: Node, what: str, topic: str, kinds: Sequence[str]):
         self.what, self.topic, self.frame, self.transform = what, topic, '', None
@@ -103,7 +103,7 @@ class _Sensor:
             self._subscribe(self._kinds[0])
 
     def look(self, buffer, base: str, absent: type[Exception]) -> None:
-        """Subscribe where there is a publisher by now, and take the transform where it is there."""
+        """Subscribe if there is a publisher, and take the transform if it is available."""
         if self._subscription is None:
             for info in self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self.topic)):
                 if info.topic_type in self._kinds and self._subscription is None:
@@ -127,7 +127,7 @@ class _Sensor:
 
 
 class _Transforms:
-    """What comes on tf. asked: parameters that ask for it."""
+    """The transforms on tf. asked: names of the parameters that need them."""
 
     def __init__(self, node: Node, asked: Sequence[str], base: str, stop: Stop):
         try:
@@ -140,7 +140,7 @@ class _Transforms:
         self._node, self._asked, self._base, self._stop = node, ', '.join(asked), base, stop
 
     def wait(self, sensors: Sequence[_Sensor], patience: float) -> None:
-        """Until the transform of each is there, at most `patience` s."""
+        """Wait until the transform of each sensor is available, at most `patience` s."""
         began, said = time.monotonic(), -_SAY_AGAIN
         while time.monotonic() - began < patience:
             for sensor in sensors:

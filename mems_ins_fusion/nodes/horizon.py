@@ -1,4 +1,5 @@
-"""For how long and how far the position can be trusted without fixes: on ~/horizon, latched, each second."""
+"""Publishes the trust horizon on ~/horizon, latched, each second: for how long and how far the position stays accurate
+without fixes."""
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -10,7 +11,7 @@ from ..samples import SECOND
 from .estimates import LATCHED, NO_EVENTS
 from .status import array, horizon_status
 
-#: ns, from one message to the next, of the samples' stamps: a replay at any speed has the same
+#: ns between two messages, by the stamps of the samples, so that a replay at any speed gives the same messages
 _PERIOD = SECOND
 
 
@@ -20,7 +21,7 @@ class HorizonOutput:
     def __init__(self, node: Node, fusion: FusionFilter, values: dict):
         self._name, self._fusion, self._limit = node.get_name(), fusion, values['horizon.limit']
         self._publisher = node.create_publisher(DiagnosticArray, '~/horizon', LATCHED, **NO_EVENTS)
-        self._slot, self._trusted = None, False  # of the newest message, and whether it tells a horizon
+        self._slot, self._trusted = None, False  # slot of the newest message, and whether it contains a horizon
 
     def on_sample(self, now: int) -> None:
         """The filter has an estimate from a sample with the stamp `now`, ns."""
@@ -30,7 +31,7 @@ class HorizonOutput:
             self._say(now, self._fusion.horizon())
 
     def stop(self, now: int) -> None:
-        """There is no estimate any more at `now`, ns: what was said last does not hold."""
+        """There is no estimate any more at `now`, ns: publish that the last horizon is not valid."""
         if self._trusted:
             self._say(now, None)
 

@@ -1,20 +1,20 @@
-"""Which IMU and which receiver send: what their messages tell of them, so that another device is recognised."""
+"""Recognition of the IMU and the receiver by properties of their messages, so that another device is noticed."""
 from __future__ import annotations
 
 #: names of the sensors
 IMU, GNSS = 'imu', 'gnss'
-#: s, a rate is measured over at least this long
+#: s, shortest time over which a rate is measured
 COUNTED = 5.0
-#: and over this many messages
+#: smallest number of messages over which a rate is measured
 MESSAGES = 5
-#: s, a longer step from one message to the next is a clock that was set, or a driver that was stopped
+#: s, longest step of the stamps; a longer one means that a clock was set or a driver was stopped
 GAP = 60.0
-#: rates with a larger ratio are different: errors of clocks and lost messages make less
+#: ratio of two rates above which they are different: errors of clocks and lost messages cause less
 OTHER_RATE = 1.2
 
 
 class Identity:
-    """What the messages of each of `sensors`, by name, have told of their devices since the start."""
+    """Properties of the devices of each of `sensors`, by name, from their messages since the start."""
 
     def __init__(self, sensors: tuple[str, ...]):
         self._sensors = sensors
@@ -24,16 +24,16 @@ class Identity:
 
     @property
     def known(self) -> dict[str, dict] | None:
-        """By sensor what its messages tell, `rate` (Hz) among it; None until that is known of each."""
+        """By sensor the properties of its device, including `rate` (Hz); None until they are known for all sensors."""
         return self._complete if len(self._complete) == len(self._sensors) else None
 
     def is_unknown(self, sensor: str) -> bool:
-        """Whether more of its messages are needed."""
+        """Whether more messages of `sensor` are needed."""
         return sensor not in self._complete
 
     def add(self, sensor: str, stamp: int, properties: dict) -> None:
-        """A message of a `sensor` that is unknown; stamp: ns. properties: what does not change from one message of a
-        device to the next."""
+        """Take a message of a `sensor` that is not known yet. stamp: ns. properties: those that are the same in all
+        messages of a device."""
         first, known = self._first.setdefault(sensor, (stamp, properties))
         seconds, since = (stamp - first) * 1e-9, (stamp - self._newest[sensor]) * 1e-9
         self._newest[sensor] = stamp
@@ -45,7 +45,7 @@ class Identity:
 
 
 def differences(before: dict[str, dict], now: dict[str, dict]) -> list[str]:
-    """What differs between the devices of `before` and `now`, in words; of properties that both tell."""
+    """Differences between the devices of `before` and `now`, in words, for properties that both have."""
     said = []
     for sensor, properties in before.items():
         for name in (n for n in properties if n in now.get(sensor, {})):

@@ -1,4 +1,4 @@
-"""What the node listens to: messages as numbers for the filter, whichever of the accepted types they come in."""
+"""The inputs of the node: their messages, of any accepted type, as numbers for the filter."""
 from __future__ import annotations
 
 import time
@@ -21,17 +21,17 @@ from ..filter.memory import Kind
 from ..recordings.reading import thinned
 from .traffic import Traffic
 
-#: a measurement this much later than the newest sample may have overtaken others, ns; the filter refuses one that is a
-#: second ahead
+#: ns: a measurement whose stamp is later than the newest sample's by more may have overtaken samples. The filter
+#: refuses a measurement that is a second ahead
 OVERTAKEN = 500_000_000
-#: one that is this much later than the quickest of its topic shows that the machine has stalled, s
+#: s: a message that is delayed by more than the fastest of its topic shows that the machine has stalled
 STALLED = 0.3
-#: s for which messages are served before timers and services have their turn
+#: s for which messages are processed before timers and services are
 AT_ONCE = 0.05
-#: s without a sample after which those before such a measurement will not come any more
+#: s without a sample after which the samples before a held measurement are not expected any more
 HOLD = 2.0
-#: messages that a queue holds while the machine is busy: 10 s of an IMU of 400 Hz. With 1000 a node of a twentieth of a
-#: machine with a load of 18 lost 2.6 % of such samples (studies/node_soak.py)
+#: number of messages in a queue while the machine is busy: 10 s of an IMU of 400 Hz. With 1000, a node that got a
+#: twentieth of a machine with a load of 18 lost 2.6 % of such samples (studies/node_soak.py)
 _DEPTH = 4000
 
 
@@ -41,7 +41,7 @@ def stamp_of(message) -> int:
 
 
 def sample_of(measurement: Measurement, messages: Sequence) -> tuple[int, tuple]:
-    """Stamp, ns, and numbers of the one sample that `messages` hold, as `measurement.read` makes them of a recording's.
+    """Stamp, ns, and numbers of the sample in `messages`, as `measurement.read` gives them for a recording.
 
     messages: one, or two of a measurement that needs two (`of_two`).
     """
@@ -54,7 +54,7 @@ def sample_of(measurement: Measurement, messages: Sequence) -> tuple[int, tuple]
 
 
 def nav_sat_fix(message) -> NavSatFix:
-    """A fix in a message of another type, as `measurements.position` reads it."""
+    """A fix in a message of another type, converted by `measurements.position`."""
     fix = MEASUREMENTS[Kind.POSITION]
     _, (latitude, longitude, height, covariance, status, kind) = sample_of(fix, [message])
     made = NavSatFix(header=message.header, latitude=float(np.degrees(latitude)), longitude=float(
@@ -65,7 +65,7 @@ def nav_sat_fix(message) -> NavSatFix:
 
 
 def _row(value) -> np.ndarray:
-    """A field of a message as a recording has those of many: (1, k), or (1,) where it is one number."""
+    """A field of a message as an array over messages: (1, k), or (1,) for a single number."""
     if hasattr(value, 'x'):
         value = [getattr(value, name) for name in 'xyzw' if hasattr(value, name)]
     return np.asarray(value, dtype=float)[None]
@@ -74,47 +74,47 @@ def _row(value) -> np.ndarray:
 class Queue:
     """The messages that wait on all inputs, as one queue in the order in which they were sent.
 
-    DDS keeps a queue for each topic, and rclpy's executor, which builds its wait set anew for each round, takes one
-    message of each. Where they queue up, as on a busy machine, fixes would come before samples that were sent earlier,
-    and the wait set would cost more than the work.
+    DDS has a queue for each topic, and rclpy's executor builds a new wait set for each round and takes one message of
+    each topic. On a busy machine, fixes would then be processed before samples that were sent earlier, and the wait set
+    would take more time than the work.
     """
 
     def __init__(self, node: Node):
         self.inputs: list[Input] = []
         self._waiting: list[tuple] = []  # when sent, input, message, rclpy's information on it
-        self._held: dict[Input, deque] = defaultdict(deque)  # those that overtook samples
-        self._deadline: float | None = None  # for those held, steady clock
+        self._held: dict[Input, deque] = defaultdict(deque)  # messages that have overtaken samples
+        self._deadline: float | None = None  # time until which they are held, steady clock
         self._again = node.create_guard_condition(self._serve)
 
     def serve(self, first: Input, message, info: dict) -> None:
-        """A message, and those that wait by now; timers and services have their turn after AT_ONCE."""
+        """Process a message and those that wait by now; after AT_ONCE, timers and services are processed."""
         self._waiting.append((info['source_timestamp'], first, message, info))
         self._serve()
 
     def release(self) -> None:
-        """Those held whose time is over, though no message comes: once a second."""
+        """Process held messages whose time is over; called once a second, as there may be no message."""
         if self._held:
             self._serve()
 
     def _serve(self) -> None:
         waiting = self._waiting
-        for told in self.inputs:  # a node that cannot keep up leaves the rest in the queues of the topics
-            while len(waiting) < _DEPTH and (taken := told.take()) is not None:
-                waiting.append((taken[1]['source_timestamp'], told, *taken))
+        for source in self.inputs:  # a node that cannot keep up leaves the rest in the queues of the topics
+            while len(waiting) < _DEPTH and (taken := source.take()) is not None:
+                waiting.append((taken[1]['source_timestamp'], source, *taken))
         if len(waiting) > 1:
             waiting.sort(key=lambda one: one[0])
         begun, done = time.monotonic(), 0
         self._pass_on_held()
         for one in waiting:
-            _, told, message, info = one
-            if told.is_imu:
-                told.on_message(message, info)
+            _, source, message, info = one
+            if source.is_imu:
+                source.on_message(message, info)
                 self._deadline = None  # they still come
                 self._pass_on_held()
-            elif told in self._held or self._overtook(told, message, info):  # later ones stay behind it
-                self._held[told].append(one)
+            elif source in self._held or self._overtook(source, message, info):  # later ones stay behind it
+                self._held[source].append(one)
             else:
-                told.on_message(message, info)
+                source.on_message(message, info)
             done += 1
             if time.monotonic() - begun > AT_ONCE:
                 break
@@ -123,18 +123,19 @@ class Queue:
             self._again.trigger()
 
     def _pass_on_held(self) -> None:
-        """Those of the held ones that the samples have caught up with, or whose time is over."""
-        for told, held in list(self._held.items()):
-            while held and not self._overtook(told, *held[0][2:]):
-                told.on_message(*held.popleft()[2:])
+        """The held messages for which all earlier samples have come, or whose time is over."""
+        for source, held in list(self._held.items()):
+            while held and not self._overtook(source, *held[0][2:]):
+                source.on_message(*held.popleft()[2:])
             if not held:
-                del self._held[told]
+                del self._held[source]
 
-    def _overtook(self, told: Input, message, info: dict) -> bool:
-        """Whether samples of before a message are still on their way: it is late itself, and its stamp far ahead of
-        theirs. After a stall messages come topic by topic. Where it is not late, it has a stamp of another clock."""
+    def _overtook(self, source: Input, message, info: dict) -> bool:
+        """Whether samples from before a message are still to come: the message is late, and its stamp is far ahead of
+        the newest sample's. After a stall, messages come topic by topic. A message that is ahead but not late has a
+        stamp of another clock."""
         newest = max((other.traffic.stamp for other in self.inputs if other.is_imu), default=0)
-        if not newest or stamp_of(message) - newest <= OVERTAKEN or told.traffic.waited(info) <= STALLED:
+        if not newest or stamp_of(message) - newest <= OVERTAKEN or source.traffic.waited(info) <= STALLED:
             return False
         if self._deadline is None:
             self._deadline = time.monotonic() + HOLD
@@ -142,12 +143,12 @@ class Queue:
 
 
 class Input:
-    """A topic that the node listens to, by its `name` in the words of the filter (imu, fix, speed, ...).
+    """A topic that the node subscribes to. name: as in the filter (imu, fix, speed, ...).
 
-    kinds: message types, package/msg/Name, those of which are heard that are installed. Of several types that it may
-    carry it is subscribed once a publisher shows which. queue: of the node. on_message:
-    called with a message and rclpy's information on it. patience: s without a message that are no silence yet.
-    is_imu: whether the filter's clock goes by it.
+    kinds: possible message types, package/msg/Name, of which only those that are installed are used. If there are
+    several, the subscription is made when a publisher shows its type. queue: of the node. on_message: called with a
+    message and rclpy's information on it. patience: s without a message after which the topic is silent. is_imu:
+    whether the filter takes its time from this topic.
     """
 
     def __init__(self, node: Node, queue: Queue, name: str, topic: str, kinds: tuple, on_message: Callable,
@@ -167,7 +168,7 @@ class Input:
 
     @property
     def kind(self) -> str:
-        """The types that it may carry, in words."""
+        """The message types that it may have, in words."""
         return ' or '.join(self._kinds)
 
     @property
@@ -176,7 +177,7 @@ class Input:
         return self._subscription is not None
 
     def look(self) -> None:
-        """Subscribe where there is a publisher by now."""
+        """Subscribe if there is a publisher."""
         if self._subscription is None:
             for info in self._node.get_publishers_info_by_topic(self.topic_name):
                 if info.topic_type in self._kinds:
@@ -184,7 +185,8 @@ class Input:
                     return
 
     def _subscribe(self, kind):
-        # best effort also hears reliable drivers; a reliable subscription would not hear best-effort ones
+        # best effort also receives from reliable drivers; a reliable subscription receives nothing from best-effort
+        # ones
         self._subscription = self._node.create_subscription(
             kind, self._topic, self._on_first,
             QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
@@ -192,7 +194,7 @@ class Input:
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def take(self):
-        """The next message that waits, with rclpy's information on it; None where there is none."""
+        """The next waiting message, with rclpy's information on it; None if there is none."""
         if self._subscription is None:
             return None
         return self._subscription.handle.take_message(self._subscription.msg_type, False)
@@ -204,7 +206,7 @@ class Input:
         return self._node.count_publishers(self.topic_name)
 
     def why_silent(self) -> str:
-        """What keeps messages away, as far as ROS knows."""
+        """Why no messages come, as far as ROS knows."""
         infos = self._node.get_publishers_info_by_topic(self.topic_name)
         own = {publisher.topic_name for publisher in self._node.publishers}
         if any(info.topic_type in self._kinds for info in infos):
@@ -218,7 +220,7 @@ class Input:
         return f"{reason}; topics of this type: {', '.join(same) or 'none'}"
 
     def qos_problem(self) -> str:
-        """Which publisher this subscription cannot hear for its quality of service, and what to set; '' where none."""
+        """Publisher whose quality of service does not fit this subscription, and what to set; '' if all fit."""
         if self._subscription is None:
             return ''
         for info in self._node.get_publishers_info_by_topic(self.topic_name):
@@ -235,9 +237,9 @@ def _name(kind) -> str:
 
 def aiding_inputs(node: Node, queue: Queue, values: dict, fusion, before: Callable[[str, int, tuple], None]
                   ) -> list[Input]:
-    """The inputs of measurements besides the fixes that `values` ask for, into the filter `fusion`.
+    """The inputs besides the fixes in `values` (checked parameters), for the filter `fusion`.
 
-    before: called with name, stamp (ns) and numbers of each before the filter has them.
+    before: called with name, stamp (ns) and numbers of each measurement before the filter gets it.
     """
     return [_aiding(node, queue, one, values[one.topic], fusion, before) for one in aiding(values)
             if values.get(one.topic)]
@@ -247,7 +249,7 @@ def _aiding(node, queue, measurement, topic, fusion, before) -> Input:
     newest = deque(maxlen=2 if measurement.of_two else 1)
 
     def on_message(message, info):
-        fusion.waited = told.traffic.take(message.header, info)
+        fusion.waited = source.traffic.take(message.header, info)
         newest.append(message)
         if len(newest) < newest.maxlen:
             return
@@ -255,12 +257,12 @@ def _aiding(node, queue, measurement, topic, fusion, before) -> Input:
         before(measurement.name, stamp, numbers)
         fusion.add(measurement.name, stamp, *numbers)
 
-    told = Input(node, queue, measurement.name, topic, tuple(measurement.messages), on_message)
-    return told
+    source = Input(node, queue, measurement.name, topic, tuple(measurement.messages), on_message)
+    return source
 
 
 def message_class(kind: str):
-    """Of a message type, package/msg/Name; None where it is not installed."""
+    """The class of a message type, package/msg/Name; None where it is not installed."""
     package, _, name = kind.split('/')
     try:
         return getattr(import_module(f'{package}.msg'), name)

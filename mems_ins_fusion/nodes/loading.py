@@ -1,7 +1,8 @@
-"""The filter's compiled functions, loaded before the first message; compiled in a child process where they are not yet.
+"""Loads the filter's compiled functions before the first message; if they are not compiled, compiles in a child
+process.
 
-A signal that interrupts the compiler in this process may be swallowed, end in a traceback or crash it. A child process
-can be ended at any moment, and what it has compiled is found in the cache.
+A signal that interrupts the compiler in this process may be lost, end in a traceback or crash the process. A child
+process can be stopped at any time, and its compiled functions are in the cache.
 """
 from __future__ import annotations
 
@@ -19,13 +20,13 @@ from ..parameters import table
 from .output import Prediction, SmoothFrame
 from .run import Stop
 
-#: in the cache's folder: everything has been compiled
+#: file in the cache's folder which shows that everything has been compiled
 _MARK = 'fusion_node.compiled'
 
 
 def load(fusion: FusionFilter, stop: Stop, imus: Imus | None = None) -> None:
-    """Load what `fusion`, several `imus` and the node's outputs need compiled. KeyboardInterrupt when `stop` is
-    requested meanwhile."""
+    """Load the compiled functions for `fusion`, several `imus` and the node's outputs. Raises KeyboardInterrupt when
+    `stop` is requested in this time."""
     mark = FOLDER / _MARK
     kept = _is_writable(mark.parent)
     if kept and not mark.exists():
@@ -38,7 +39,7 @@ def load(fusion: FusionFilter, stop: Stop, imus: Imus | None = None) -> None:
 
 
 def _is_writable(folder):
-    """Whether what a child compiles can be found again."""
+    """Whether the folder is writable, so that functions compiled by a child process are found in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

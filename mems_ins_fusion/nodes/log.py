@@ -1,4 +1,4 @@
-"""What a node tells its user, without flooding."""
+"""The log of a node, with repeated messages held back."""
 from __future__ import annotations
 
 import math
@@ -6,19 +6,19 @@ import re
 import time
 from collections.abc import Callable
 
-#: numbers, whatever their form: two lines that differ only there say the same
+#: numbers in any format: lines that differ only in numbers count as equal
 _NUMBERS = re.compile(r'\b(nan|inf)\b|[-+]?\d[\d.]*(e[-+]?\d+)?', re.IGNORECASE)
-#: s for which a line that comes again is held back at first: who looks at the log now and then sees it
+#: s for which a repeated line is held back at first: short enough to be noticed in the log
 FIRST_HOLD = 5.0
-#: s between two of them at most: a line that keeps on coming is let through ever more seldom
+#: s, longest time for which it is held back; the time doubles with each repetition
 LONGEST_HOLD = 80.0
 
 
 class Throttle:
-    """Lets a line through once in `period` seconds; the next one let through tells how many were held back.
+    """Passes a line on once in `period` seconds, with the number of equal lines held back since.
 
-    Lines that differ only in their numbers count as one and the same. One that keeps on coming has to wait twice as
-    long each time, up to LONGEST_HOLD; it begins anew when it has not come for that long.
+    Lines that differ only in numbers count as equal. The time for which a repeated line is held back doubles each time,
+    up to LONGEST_HOLD, and is reset after no such line has come for that long.
     """
 
     def __init__(self, period: float, clock: Callable[[], float] = time.monotonic):
@@ -27,7 +27,7 @@ class Throttle:
         self._last: dict[str, tuple[float, float, int]] = {}  # when, how long to hold, how many held
 
     def pass_on(self, text: str) -> str | None:
-        """`text`, with the number of those held back before; None where it is held back itself."""
+        """`text` with the number of lines held back before it; None if it is held back itself."""
         key = _NUMBERS.sub('#', text)
         now = self._clock()
         last, hold, held_back = self._last.get(key, (-math.inf, 0.0, 0))
@@ -46,12 +46,13 @@ class Log:
         self._logger, self._throttle = logger, Throttle(FIRST_HOLD)
 
     def say(self, level: str, line: str) -> None:
-        """A line that may come often (debug, info, warning or error); what is held back is for who debugs."""
+        """Log a line that may come often (level: debug, info, warning or error). Lines that are held back are logged
+        with the level debug."""
         text = self._throttle.pass_on(line)
         self.tell('debug' if text is None else level, text or line)
 
     def tell(self, level: str, line: str) -> None:
-        """A line that comes seldom. rclpy wants a line of source of its own for each severity."""
+        """Log a line that comes seldom. rclpy needs a separate line of source for each severity."""
         if level == 'debug':
             self._logger.debug(line)
         elif level == 'info':
@@ -65,7 +66,7 @@ class Log:
 class Watch:
     """Notices that a topic is silent: `patience` seconds after the last message, then every `period` seconds.
 
-    The subscription's callback adds to `count`, nothing else: it is the hot path.
+    The callback of the subscription only increments `count`, as it is called for each message.
     """
 
     def __init__(self, patience: float, period: float = 30.0, clock: Callable[[], float] = time.monotonic):
@@ -78,7 +79,8 @@ class Watch:
         self._restart(clock())
 
     def check(self) -> tuple[bool, float] | None:
-        """(True, seconds of silence) when that is to be said, (False, seconds) when it ended, else None."""
+        """(True, seconds of silence) when the silence is to be reported, (False, seconds) when it has ended, else None.
+        """
         now = self._clock()
         if self.count != self._seen:
             silence = now - self._since
@@ -98,7 +100,9 @@ class Watch:
 
 
 class StateLog:
-    """Says that a state began, and says it again every `period` seconds while it lasts, but for `quiet` states."""
+    """Reports that a state has begun, and reports it again every `period` seconds while it lasts, except `quiet`
+    states.
+    """
 
     def __init__(self, period: float = 30.0, quiet: tuple[str, ...] = ('fusing',),
                  clock: Callable[[], float] = time.monotonic):
@@ -108,9 +112,9 @@ class StateLog:
         self._since = self._said = clock()
 
     def look(self, state: str, status: str, level=None) -> tuple[float, str | None]:
-        """Seconds that `state` has lasted, and the line to log, with more words on it (`status`), or None.
+        """Seconds that `state` has lasted, and the line to log (with the description `status`), or None.
 
-        level: how bad that is; the same state is said again where this changes.
+        level: severity of the state; a state is reported again when its level changes.
         """
         now = self._clock()
         changed, self._level = level != self._level, level

@@ -1,4 +1,4 @@
-"""What the node says once a second, by the clock, of filter and inputs: in the log and on /diagnostics."""
+"""Reports on filter and inputs, once a second: in the log and on /diagnostics."""
 from __future__ import annotations
 
 import time
@@ -20,18 +20,18 @@ from .preflight import Preflight
 from .status import BEFORE_START, ERROR, SILENT, WARN, InputStatus, array, by_the_clock, filter_status, level_of
 from .verdicts import Verdicts
 
-#: how often, s
+#: s between two reports
 PERIOD = 1.0
-#: messages that are later than others by more show that the machine is busy, s
+#: s: messages that are delayed by more than others show that the machine is busy
 _LONG_WAIT = 0.1
-#: the logger's level by that of a status
+#: level of the logger for each level of a status
 _LOG_LEVELS = {b'\x00': 'info', b'\x01': 'warning', b'\x02': 'error'}
 
 
 class Monitor:
-    """Looks at `fusion` and `inputs` (the IMU and the fixes first). values: checked parameters of the node.
+    """Reports on `fusion` and `inputs` (the IMU and the fixes first). values: checked parameters of the node.
 
-    mounting, aiding, preflight: the checks that are fed with what comes in.
+    mounting, aiding, preflight: checks that the node gives each message.
     """
 
     def __init__(self, node: Node, fusion: FusionFilter, inputs: list[Input], verdicts: Verdicts, values: dict,
@@ -39,15 +39,15 @@ class Monitor:
         self._imus = imus
         self._node, self._fusion, self._inputs, self._verdicts, self._log = node, fusion, inputs, verdicts, log
         self._imu, self._online = inputs[0], online
-        self._all_imus = [told for told in inputs if told.is_imu]
+        self._all_imus = [source for source in inputs if source.is_imu]
         self.mounting, self.aiding = MountingCheck(values), AidingCheck(values)
-        self._statuses = [InputStatus(told) for told in inputs]
+        self._statuses = [InputStatus(source) for source in inputs]
         self.preflight = Preflight(inputs, values)
         self._state_log = StateLog()
         self._said_standstills = False
-        self._cannot_start: int | None = None  # since which sample, ns
+        self._cannot_start: int | None = None  # stamp of the sample since which the filter cannot start, ns
         self._looked = time.monotonic()
-        # by how much the last two looks came late, s: what is lost in a stall shows in the messages after it
+        # s by which the last two reports were late: messages lost in a stall are noticed in the messages after it
         self._stalled = deque([0.0], maxlen=2)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10, **NO_EVENTS)
 
@@ -56,14 +56,14 @@ class Monitor:
         now = time.monotonic()
         self._stalled.append(now - self._looked - PERIOD)
         self._looked = now
-        for told in self._inputs:
-            told.look()
+        for source in self._inputs:
+            source.look()
         for status in self._statuses:
             status.look(self._tally(status.input))
             self._say_lost(status)
         self._look_at_mounting()
         for name, level, text in self.aiding.look():
-            topic = next(told.topic_name for told in self._inputs if told.name == name)
+            topic = next(source.topic_name for source in self._inputs if source.name == name)
             self._log.tell(level, f'{topic}: {text}')
         self._say_silent()
         self._diagnose()
@@ -71,10 +71,10 @@ class Monitor:
         if found:
             self._log.tell(*found)
 
-    def _tally(self, told: Input) -> Tally:
-        if self._imus and told.name in self._imus.names[1:]:
-            return self._imus.tallies[told.name]
-        return self._fusion.tallies.get(told.name) or Tally()
+    def _tally(self, source: Input) -> Tally:
+        if self._imus and source.name in self._imus.names[1:]:
+            return self._imus.tallies[source.name]
+        return self._fusion.tallies.get(source.name) or Tally()
 
     def _say_lost(self, status: InputStatus) -> None:
         if status.lost:
@@ -97,16 +97,16 @@ class Monitor:
             self._said_standstills = True
 
     def _say_silent(self) -> None:
-        for told in self._inputs:
-            found = told.traffic.check()
+        for source in self._inputs:
+            found = source.traffic.check()
             if found is None:
                 continue
             silent, seconds = found
             if silent:
-                self._log.tell('warning', f'no message on {told.topic_name} ({told.kind}) for {seconds:.0f} s: '
-                                          f'{told.why_silent()}')
+                self._log.tell('warning', f'no message on {source.topic_name} ({source.kind}) for {seconds:.0f} s: '
+                                          f'{source.why_silent()}')
             else:
-                self._log.tell('info', f'messages on {told.topic_name} again after {seconds:.0f} s')
+                self._log.tell('info', f'messages on {source.topic_name} again after {seconds:.0f} s')
 
     def _diagnose(self) -> None:
         """State, reasons and numbers, for the log and /diagnostics."""
@@ -116,9 +116,9 @@ class Monitor:
         since, said = self._state_log.look(state, '; '.join(reasons) or health['status'], level)
         if said:
             self._log.tell(_LOG_LEVELS[level], said)
-        for told in self._inputs:
-            if told.name in self._found:
-                reasons, level = [*reasons, f'{told.topic_name}: {self._found[told.name][1]}'], max(level, WARN)
+        for source in self._inputs:
+            if source.name in self._found:
+                reasons, level = [*reasons, f'{source.topic_name}: {self._found[source.name][1]}'], max(level, WARN)
         if self.mounting.is_wrong and not certain:  # else that is the reason
             reasons, level = [*reasons, self.mounting.found], max(level, WARN)
         if self.mounting.standstills and self.mounting.standstills[0] != 'info':
@@ -126,8 +126,8 @@ class Monitor:
         if self._verdicts.mean_nis is not None:
             health['mean NIS'] = self._verdicts.mean_nis
         health['mounting'] = self.mounting.found
-        for told in self._inputs:
-            health[f'messages on {told.topic_name}, Hz'] = told.traffic.hertz
+        for source in self._inputs:
+            health[f'messages on {source.topic_name}, Hz'] = source.traffic.hertz
         name = self._node.get_name()
         statuses = [filter_status(name, state, level, since, reasons, health),
                     *(self._input_status(name, status, health) for status in self._statuses),
@@ -136,13 +136,13 @@ class Monitor:
 
     @property
     def _found(self) -> dict[str, tuple[str, str]]:
-        """Level and text of what is wrong with an input now, by its name."""
+        """Level and text of the present problem of each input, by its name."""
         return {**self.aiding.found, **(self._imus.found if self._imus else {})}
 
     def _judge(self) -> tuple[str, list[str], dict]:
         """State, reasons and numbers of the filter, by the clock."""
         state, health, reasons = self._fusion.state, self._fusion.health(), self._fusion.reasons
-        last = min(self._all_imus, key=lambda told: told.traffic.silence)
+        last = min(self._all_imus, key=lambda source: source.traffic.silence)
         imu = last.traffic
         if imu.is_stale and imu.count:
             return (SILENT, [f'no sample on {last.topic_name} for {imu.silence:.0f} s, nothing is published'],
@@ -158,22 +158,22 @@ class Monitor:
 
     @staticmethod
     def _left(health: dict) -> list[str]:
-        """The countdown of an outage."""
+        """Remaining time of the trust horizon in an outage, in words."""
         left, limit = health['trust horizon, s'], health['trust horizon to, m']
         return [f'the error stays below {limit:g} m for {left:.0f} s more' if left > 0.0 else
                 f'the error may be larger than {limit:g} m']
 
     def _input_status(self, name: str, status: InputStatus, health: dict) -> DiagnosticStatus:
-        told, age, more = status.input, 'age of the last fix used, s', {}
-        if told.name == 'imu':
+        source, age, more = status.input, 'age of the last fix used, s', {}
+        if source.name == 'imu':
             more = {'gaps': self._fusion.gaps}
-        elif told.name == 'fix' and age in health:
+        elif source.name == 'fix' and age in health:
             more = {age: health[age]}
-        return status.status(name, self._tally(told), self._found.get(told.name), more)
+        return status.status(name, self._tally(source), self._found.get(source.name), more)
 
     def _cannot_start_for(self) -> float:
-        """For how long, by the samples' stamps, the filter has waited for what will not come by itself, s."""
-        now = max(told.traffic.stamp for told in self._all_imus)
+        """Time, s, by the stamps of the samples, for which the filter has waited although waiting does not help."""
+        now = max(source.traffic.stamp for source in self._all_imus)
         if not self._fusion.contradicted:
             self._cannot_start = None
         elif self._cannot_start is None or now < self._cannot_start:  # the clock was set back

@@ -1,5 +1,5 @@
-"""Whether the IMU delivers the units and sits as the parameters say, and whether its standstills can be told from
-motion, looked at while the vehicle drives: as replays look at it."""
+"""Checks of the IMU's units and mounting against the parameters while the vehicle drives, and whether standstills can
+be distinguished from motion: the same checks as for a replay."""
 from __future__ import annotations
 
 from collections import deque
@@ -11,22 +11,23 @@ from ..recordings.checker import ERROR, check_units
 from ..recordings.motion import find_standstill
 from ..samples import SECOND, Fixes, ImuSamples
 
-#: Hz to which the samples are averaged
+#: Hz, rate to which the samples are averaged
 RATE = 20.0
-#: s for which these are kept: some 400 kB
+#: s for which the averaged samples are kept: some 400 kB
 MEMORY = 240.0
 #: s of samples after which the mounting is checked; each check takes some 50 ms
 LOOKS = (30.0, 60.0, 120.0, 240.0, 480.0, 960.0)
-LONGEST_GAP = 5.0  # s
-#: checks in a row that have to find the same: at the second the vehicle has driven twice as long
+LONGEST_GAP = 5.0  # s, longest gap in the samples; after a longer one the check begins again
+#: number of consecutive checks that have to give the same result: at the second one the data are twice as long
 CERTAIN_LOOKS = 2
 
 
 class MountingCheck:
-    """Collects samples and fixes, SI units in sensor axes, and looks at them now and then until LOOKS are through.
+    """Collects samples and fixes, SI units in sensor axes, and checks them at the times in LOOKS.
 
-    add_sample and add_fix are lists' own `append`: stamp (ns), specific force and angular rate; stamp, latitude,
-    longitude (rad), height (m), nine of the covariance (m^2), status, covariance type. values: checked parameters.
+    add_sample and add_fix are the `append` methods of lists. A sample: stamp (ns), specific force, angular rate. A fix:
+    stamp (ns), latitude, longitude (rad), height (m), nine elements of the covariance (m^2), status, covariance type.
+    values: checked parameters.
     """
 
     def __init__(self, values: dict):
@@ -42,33 +43,33 @@ class MountingCheck:
         self._looks = list(LOOKS)
         self.found = 'not looked at yet'
         self.is_wrong = False
-        #: level and text of what was found of its standstills, None where nothing is worth a word
+        #: level and text of a problem with its standstills, None without one
         self.standstills: tuple[str, str] | None = None
         self._times_certain = 0
 
     @property
     def is_certainly_wrong(self) -> bool:
-        """Whether look after look has found a mounting that cannot be, and not a vehicle that reverses: who fuses with
-        it is wrong."""
+        """Whether consecutive checks have found an impossible mounting (not just a reversing vehicle), so that
+        estimates are wrong."""
         return self._times_certain >= CERTAIN_LOOKS
 
     @property
     def done(self) -> bool:
-        """Whether there will be no other look."""
+        """Whether there will be no further check."""
         return not self._looks
 
     def force(self) -> np.ndarray | None:
-        """Mean specific force of the last second, (3,) m/s^2 in sensor axes; None where there is none."""
+        """Mean specific force of the last second, (3,) m/s^2 in sensor axes; None without samples."""
         rows = list(self._means)[-round(RATE):] or [(0.0, *sample[1:]) for sample in self._samples]
         return np.mean(np.array(rows)[:, 1:4], axis=0) if rows else None
 
     def _restart(self) -> None:
-        """Forget the samples: those to come do not follow them. Fixes of before are not used any more."""
+        """Discard samples and fixes: the next samples do not follow the earlier ones."""
         self._means.clear()
         self._first = None
 
     def look(self) -> tuple[str, str] | None:
-        """Take in what has come; where a look was due and has found something, ('error' or 'warning', text)."""
+        """Process the new samples; if a check was due and has found a problem, ('error' or 'warning', text)."""
         if self.done:
             self._samples.clear()
             return None
@@ -105,12 +106,12 @@ class MountingCheck:
                 imu, fixes = self._imu(), self._received()
                 units = check_units(imu, fixes, self._values, find_standstill(imu, fixes))
                 wrong = [finding.message for finding in units if finding.severity == ERROR]
-                if wrong:  # a mounting stands on sensors that are right
+                if wrong:  # with wrong units or scales, the mounting cannot be checked
                     self.is_wrong, self.found = True, '; '.join(wrong)
                     return 'error', self.found
                 findings, seen = judge_mounting(imu, fixes, self._values, self._values['gnss.time_offset'])
                 standstills = list(check_standstills(imu, fixes, self._values)) if fixes is not None else []
-        except (ValueError, ArithmeticError, np.linalg.LinAlgError):  # numbers that no vehicle gives: no reason to stop
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError):  # impossible values must not stop a node
             return None
         self.standstills = next(((f.severity, f.message) for f in standstills), None)
         self.is_wrong = bool(findings)

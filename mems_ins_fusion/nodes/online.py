@@ -1,4 +1,4 @@
-"""The diagnosis while driving, in a process of its own: what it finds on ~/calibration and in the log."""
+"""The diagnosis while driving, in a process of its own; its findings are on ~/calibration and in the log."""
 from __future__ import annotations
 
 import os
@@ -25,16 +25,17 @@ from .estimates import LATCHED, NO_EVENTS
 from .log import Log
 from .status import array, quantity_status
 
-#: s, that the process has to end in
+#: s within which the process has to end
 _PATIENCE = 5.0
 #: why the diagnosis is behind, for messages
 _BUSY = 'the computer is busy, or diagnosis.share is too small'
 
 
 class OnlineDiagnosis:
-    """Feeds the process and says what it answers. values: checked parameters of the node. kept: of earlier drives.
+    """Sends data to the process and reports its answers. values: checked parameters of the node. kept: findings of
+    earlier drives.
 
-    Nothing here waits: chunks are pickled and written, and answers read, by threads.
+    No method waits: threads pickle and write the chunks of data, and read the answers.
     """
 
     def __init__(self, node: Node, values: dict, log: Log, kept: list[Kept]):
@@ -45,7 +46,7 @@ class OnlineDiagnosis:
         self._chunks: Queue = Queue(maxsize=max(int(values['diagnosis.window'] / CHUNK), 2))
         self._answers: deque[tuple[int, list[Quantity]] | str] = deque()  # with the number of the chunk
         self._dropped: list[Dropped] = []  # since the last chunk
-        self._kept = kept  # what is applied, for the next start
+        self._kept = kept  # findings that are applied, for the next start
         self._said: dict[str, tuple] = {}
         self._known: list[Quantity] = []
         self._publisher = node.create_publisher(DiagnosticArray, '~/calibration', LATCHED, **NO_EVENTS)
@@ -60,15 +61,15 @@ class OnlineDiagnosis:
         node.create_service(Trigger, '~/calibration/report', self._on_report)
 
     def add_sample(self, sample: tuple) -> Findings | None:
-        """Stamp (ns), specific force and angular rate of the IMU, as the filter has them. What the filters are to have
-        from this sample on, where that is something else than before."""
+        """Add a sample: stamp (ns), specific force and angular rate, as for the filter. Returns the findings to apply
+        from this sample on, if they have changed."""
         chunk = self._gathering.add_sample(sample)
         if chunk is None:
             return self._due.asked()
         findings = self._due.at_end_of_chunk()
         if self._due.late:
             self._log.say('info', f'diagnosis.online: {count_of(self._due.late, "minute")} behind the drive: {_BUSY}. '
-                                  'What it finds is told and applied that much later')
+                                  'Findings are reported and applied this much later')
         try:
             self._chunks.put_nowait((chunk, self._dropped))
             self._dropped = []
@@ -78,15 +79,15 @@ class OnlineDiagnosis:
         return findings
 
     def add_fix(self, fix: tuple) -> None:
-        """What the filter has of a fix."""
+        """Add a fix, as for the filter."""
         self._gathering.add_fix(fix)
 
     def add(self, name: str, stamp: int, numbers: tuple) -> None:
-        """One of the other measurements."""
+        """Add a measurement of another input."""
         self._gathering.add(name, stamp, numbers)
 
     def dropped(self, one: Dropped) -> None:
-        """The filter has dropped a finding, and is to be given it no more."""
+        """Note that the filter has dropped a finding, which is not to be applied again."""
         self._due.dropped(one.name)
         self._dropped.append(one)
         self._known = _without({one.name}, self._known)
@@ -94,11 +95,11 @@ class OnlineDiagnosis:
 
     @property
     def kept(self) -> list[Kept] | None:
-        """What is applied, for the next start; None where a start would not apply it."""
+        """The findings that are applied, for the next start; None if a start would not apply them."""
         return self._kept if self._keeps else None
 
     def ask(self, word: str) -> bool:
-        """Have the diagnosis do as `word` says: accept, reject or reset; whether it is not too far behind for that."""
+        """Send the command `word` (accept, reject or reset) to the diagnosis; False if it is too far behind for it."""
         try:
             self._chunks.put_nowait(word)
         except Full:
@@ -108,7 +109,7 @@ class OnlineDiagnosis:
     def _on_word(self, word: str, request, response):
         response.success = self.ask(word)
         response.message = f'calibration: {word}: ' + (
-            'passed on; ~/calibration tells what has come of it' if response.success else
+            'passed on; the result is on ~/calibration' if response.success else
             f'not done, the diagnosis is too far behind: {_BUSY}')
         return response
 
@@ -126,7 +127,7 @@ class OnlineDiagnosis:
                 message = asked if isinstance(asked, str) else (asked[0].recording(), asked[1])
                 pickle.dump(message, self._process.stdin)
                 self._process.stdin.flush()
-        except OSError:  # `_read` tells
+        except OSError:  # reported by `_read`
             pass
 
     def _read(self) -> None:
@@ -141,7 +142,7 @@ class OnlineDiagnosis:
             self._answers.append(f'its process has ended ({self._process.wait()})')
 
     def look(self) -> list[DiagnosticStatus]:
-        """Publish and log what is new; the statuses for /diagnostics. Once a second."""
+        """Publish and log new answers; returns the statuses for /diagnostics. Called once a second."""
         while self._answers:
             answer = self._answers.popleft()
             if isinstance(answer, str):

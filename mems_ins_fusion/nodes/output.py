@@ -1,8 +1,8 @@
-"""From the filter's newest estimate to messages: which frame it is in, to which time it is predicted, how it is sent.
+"""From the filter's newest estimate to messages: smooth frame, prediction to the present time, message.
 
-An estimate is anything with the arrays `odometry` (85,), `geodetic` (3,) and `position_covariance_enu` (9,) as
-`FusionFilter.update_odometry` fills them. Estimates stand in a row, each made from the one before it: the filter, its
-smooth frame where wanted, its prediction to now where wanted, the messages.
+An estimate is an object with the arrays `odometry` (85,), `geodetic` (3,) and `position_covariance_enu` (9,) as
+`FusionFilter.update_odometry` fills them. Estimates form a chain, each computed from the one before: the filter; its
+smooth frame and its prediction to the present time, if these are configured; the messages.
 """
 from __future__ import annotations
 
@@ -27,13 +27,14 @@ from ..navigation.strapdown import from_rotation_vector, matrix, multiply
 from ..parameters.parameter import ParameterError
 from ..samples import SECOND
 
-#: the smooth frame's roll and pitch follow the filter's with this time constant, s
+#: s, time constant with which roll and pitch of the smooth frame follow the filter's
 LEVEL_TIME = 2.0
-#: a longer step between two estimates is not integrated, s
+#: s, longest step between two estimates that is integrated
 LONGEST_STEP = 1.0
-#: of what a vehicle in the plane does not do, m^2 and rad^2: who inverts the covariance needs more than zero
+#: m^2 and rad^2, published variance of height, roll and pitch of a vehicle in the plane: above zero, so that the
+#: covariance can be inverted
 FLAT_VARIANCE = 1e-6
-_EARTH = 6.37e6  # m, good enough for the way of a few milliseconds
+_EARTH = 6.37e6  # m, radius of the earth, accurate enough for the displacement in some milliseconds
 
 
 def tf_message():
@@ -48,9 +49,9 @@ def tf_message():
 class SmoothFrame:
     """The pose in a frame in which it never jumps (REP-105's odom): velocity and angular rate of `source`, integrated.
 
-    What fixes correct appears in `frame`, the pose (x, y, z, q_x, q_y, q_z, q_w) of this frame in that of `source`. At
-    the first estimate both are the same. Roll and pitch follow those of `source` slowly, so that the frame stays level.
-    The covariance is that of `source` and the square of how far this frame has drifted from where it was `settled`.
+    Corrections by fixes change `frame`, the pose (x, y, z, q_x, q_y, q_z, q_w) of this frame in that of `source`. At
+    the first estimate both frames are equal. Roll and pitch follow those of `source` slowly, so that the frame stays
+    level. The covariance is that of `source` plus the square of the drift of this frame since the last `settle`.
     """
 
     def __init__(self, source):
@@ -63,11 +64,11 @@ class SmoothFrame:
         self._settled = self.frame
 
     def settle(self) -> None:
-        """Be where it is from now on: what the frames differ by now, as their origins, is no drift."""
+        """Take the present difference of the two frames as constant: drift is counted from now on."""
         self._settled = self.frame
 
     def advance(self, stamp: int) -> None:
-        """Take over the newest estimate of `source`, of time `stamp` (ns)."""
+        """Update from the newest estimate of `source`, of time `stamp` (ns)."""
         east, north, up, q_x, q_y, q_z, q_w = self._source.odometry[POSITION:POSE_COVARIANCE].tolist()
         position, q = (east, north, up), (q_w, q_x, q_y, q_z)
         if self._stamp is None:
@@ -109,14 +110,14 @@ class SmoothFrame:
 
 
 class Prediction:
-    """`source` moved on by its velocity and angular rate, as they are, with the covariance that this adds."""
+    """The estimate `source` predicted with constant velocity and angular rate, with the covariance that this adds."""
 
     def __init__(self, source):
         self._source = source
         self.odometry, self.geodetic, self.position_covariance_enu = np.zeros(SIZE), np.zeros(3), np.zeros(9)
 
     def advance(self, dt: float) -> None:
-        """Take over the newest estimate of `source`, `dt` s later."""
+        """Predict the newest estimate of `source` by `dt` s."""
         out, source = self.odometry, self._source
         out[:] = source.odometry
         x, y, z, w = out[ORIENTATION:POSE_COVARIANCE].tolist()
@@ -136,19 +137,19 @@ class Prediction:
 
 
 class VehicleAxes:
-    """The odometry of `fusion`, a FusionFilter, in the vehicle's own axes, as the estimated mounting tells them.
+    """The odometry of `fusion`, a FusionFilter, in the axes of the vehicle, by the estimated mounting.
 
-    The filter's are those that imu.mounting_rpy gives, to which the transforms of all other sensors lead.
+    The filter's odometry is in the axes that imu.mounting_rpy gives, to which the transforms of all other sensors lead.
     """
 
     def __init__(self, fusion):
         self._fusion = fusion
 
     def turn(self) -> None:
-        """Turn the newest odometry, in place."""
+        """Rotate the newest odometry, in place."""
         yaw, pitch, sigma = self._fusion.vehicle_axes()
         out = self._fusion.odometry
-        # forward-left-up: both angles are the other way round
+        # forward-left-up axes: both angles change sign
         mounting = rotation_from_rpy(0.0, -pitch, -yaw)
         half_yaw, half_pitch = -0.5 * yaw, -0.5 * pitch
         q_m = multiply((math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)),
@@ -158,14 +159,15 @@ class VehicleAxes:
         out[ORIENTATION:POSE_COVARIANCE] = (*q[1:], q[0])
         _turn_twist(out, mounting.T)
         p = out[POSE_COVARIANCE:LINEAR].reshape(6, 6)
-        if sigma is not None and p[5, 5] > 0.0:  # the same correlations: it stays a covariance
+        if sigma is not None and p[5, 5] > 0.0:  # the correlations are kept, so that it stays a covariance
             ratio = sigma / math.sqrt(p[5, 5])
             p[5] *= ratio
             p[:, 5] *= ratio
 
 
 def flatten(out: np.ndarray) -> None:
-    """Take height, roll, pitch and what goes with them out of an odometry (85,), in place."""
+    """Set height, roll, pitch and their rates in an odometry (85,) to zero, their variances to FLAT_VARIANCE, in place.
+    """
     x, y, z, w = out[ORIENTATION:POSE_COVARIANCE].tolist()
     yaw = yaw_of_quaternion(x, y, z, w)
     level = rotation_from_rpy(0.0, 0.0, -yaw) @ np.array(matrix((w, x, y, z))).reshape(3, 3)
@@ -179,7 +181,7 @@ def flatten(out: np.ndarray) -> None:
 
 
 def _turn_twist(out: np.ndarray, turn: np.ndarray) -> None:
-    """The twist of an odometry (85,) and its covariance in axes to which `turn` (3, 3) leads, in place."""
+    """Rotate the twist of an odometry (85,) and its covariance by `turn` (3, 3), in place."""
     out[LINEAR:ANGULAR] = turn @ out[LINEAR:ANGULAR]
     out[ANGULAR:TWIST_COVARIANCE] = turn @ out[ANGULAR:TWIST_COVARIANCE]
     both, p = np.kron(np.eye(2), turn), out[TWIST_COVARIANCE:SIZE].reshape(6, 6)
@@ -196,7 +198,7 @@ def _rotate(c, v):
 
 
 class Output:
-    """The messages a node publishes, each made once and refilled: a fresh one costs ten times as much."""
+    """The messages of a node, created once and refilled: creating a new one takes ten times as long."""
 
     def __init__(self, estimate, frame_id: str, child_frame_id: str):
         self.odometry = Odometry(child_frame_id=child_frame_id)
@@ -219,7 +221,8 @@ class Output:
                              (self.fix.position_covariance, estimate.position_covariance_enu)]
 
     def add_transform(self):
-        """A tf2_msgs/TFMessage that is filled from now on, too; ParameterError where tf2_msgs is not installed."""
+        """Returns a tf2_msgs/TFMessage that is filled from now on as well. Raises ParameterError where tf2_msgs is not
+        installed."""
         transform = TransformStamped(child_frame_id=self.odometry.child_frame_id)
         transform.header.frame_id = self.odometry.header.frame_id
         self._stamps.append(transform.header.stamp)
@@ -241,13 +244,13 @@ class Output:
         linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = self._twist.tolist()
         latitude, longitude, self.fix.altitude = self._geodetic.tolist()
         self.fix.latitude = math.degrees(latitude)
-        self.fix.longitude = math.degrees(math.remainder(longitude, 2 * math.pi))  # the filter's goes on at 180 deg
+        self.fix.longitude = math.degrees(math.remainder(longitude, 2 * math.pi))  # the filter's is not wrapped
         for target, source in self._covariances:
             target[:] = source
 
 
 class MapOutput:
-    """What the smooth frame leaves over: its own pose in the map, and the vehicle's, each message made once."""
+    """The messages of the map frame: pose of the smooth frame in the map, and pose of the vehicle, created once."""
 
     def __init__(self, estimate, smooth: SmoothFrame, map_frame_id: str, frame_id: str):
         self._smooth = smooth

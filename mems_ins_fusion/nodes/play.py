@@ -27,15 +27,15 @@ from .playback import time_message
 from .run import Stop
 
 NAME = 'play'
-#: /clock goes on in steps of at most this, s
+#: s, largest step of /clock
 _TICK = 0.02
 #: GB of memory at the start, and bytes beside each message
 _MEMORY = 0.2, 150.0
-#: after the first subscriber the others may come, s
+#: s to wait for further subscribers after the first one
 _OTHERS = 0.5
-#: reliable subscribers may take this long for the last messages
+#: longest time for the delivery of the last messages to reliable subscribers
 _DELIVERY = Duration(seconds=2)
-_DEPTH = 1000  # messages kept for a subscriber that is slow
+_DEPTH = 1000  # number of messages kept for a slow subscriber
 
 DESCRIPTION = """\
 Publish the messages of a recording on their topics, with the timing of the recording, and its time on /clock: what
@@ -49,7 +49,7 @@ class Player:
     """Messages in the order of their log times, and their publishers on `node`."""
 
     def __init__(self, node: Node, bag: Bag, topics: list[str], memory: Memory):
-        """Reads all messages of `topics`. RecordingError where a type is not installed or nothing is there."""
+        """Reads all messages of `topics`. Raises RecordingError if a type is not installed or there are no messages."""
         publishers = [_publisher(node, topic, bag.topics[topic]) for topic in topics]
         numbers = {topic: number for number, topic in enumerate(topics)}
         times, owners, messages = [], [], []
@@ -73,7 +73,8 @@ class Player:
         return any(publisher.get_subscription_count() for publisher in self._publishers)
 
     def play(self, start: float, rate: float, stop: Stop, tell) -> int:
-        """Publish from `start` seconds on, `rate` times as fast as recorded; how many messages. tell: as Progress."""
+        """Publish from `start` s on, `rate` times as fast as recorded; returns the number of messages. tell: called
+        like Progress."""
         first = int(np.searchsorted(self._times, self._times[0] + round(start * SECOND)))
         if first == len(self._times):
             raise InputError(f'--start {start:g} is after the end of the recording, which is {self.seconds:.1f} s long')
@@ -128,7 +129,7 @@ def _wait_for_listeners(player: Player, seconds: float, stop: Stop) -> None:
 
 
 def play(node: Node, options: argparse.Namespace, stop: Stop) -> None:
-    """Do what `options` ask for until the end, or a signal. RecordingError and InputError for what is wrong."""
+    """Play the recording as specified by `options`, until its end or a signal. Raises RecordingError and InputError."""
     if not 1e-3 <= options.rate <= 1e3:
         raise InputError(f'--rate must be from 0.001 to 1000, got {options.rate:g}')
     if not 0 <= options.start < 1e9:

@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 from ..recordings.writing import OdometrySamples
 from ..samples import SECOND
 
-#: a signal is looked for this often, s
+#: s between two checks for a signal
 _PATIENCE = 0.1
 
 
@@ -39,7 +39,7 @@ def play(node: Node, tracks: dict[str, OdometrySamples], rate: float, stopped: C
 
 
 def _wait_until(moment: float, stopped) -> bool:
-    """False when asked to stop before."""
+    """Wait until `moment`; False if a stop is requested before."""
     while (remaining := moment - time.monotonic()) > 0 and not stopped():
         time.sleep(min(remaining, _PATIENCE))
     return not stopped()

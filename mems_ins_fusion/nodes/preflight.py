@@ -1,4 +1,4 @@
-"""One block of lines soon after the start: what comes in, how, and whether it is what the parameters say it is."""
+"""One block of lines in the log soon after the start: the inputs, their rates, and whether they fit the parameters."""
 from __future__ import annotations
 
 import math
@@ -13,22 +13,23 @@ from ..navigation.earth import STANDARD_GRAVITY
 from ..navigation.frames import rotation_from_rpy
 from .inputs import Input
 
-#: s after the first sample at which the block comes, if a fix has come by then
+#: s after the first sample at which the block is logged, if a fix has come by then
 AFTER_SAMPLE = 5.0
-#: s after the start at which it comes in any case
+#: s after the start at which it is logged in any case
 AT_THE_LATEST = 12.0
-#: stamps further from the node's clock are of another clock, s
+#: s: stamps that differ more from the node's clock are of another clock
 _OTHER_CLOCK = 1.0
-#: newer than the newest sample by more, s: more than a sample that is on its way, so a fix of another clock
+#: s, smallest age of the stamp of a fix relative to the newest sample: below it, the fix has the stamp of another
+#: clock, as samples are not delayed by so much
 _NEWER = -0.1
-#: m/s^2 by which gravity may differ from what an accelerometer shows: braking, a bias
+#: m/s^2 by which the mean specific force may differ from gravity: braking, a bias
 _GRAVITY = 1.5
-#: rad by which that may be off the vertical: a slope, a turn
+#: rad by which its direction may differ from the vertical: a slope, a turn
 _TILT = math.radians(15.0)
 
 
 class Preflight:
-    """Says once what there is. inputs: of the node, the IMU and the fixes first."""
+    """Reports the inputs once. inputs: of the node, the IMU and the fixes first."""
 
     def __init__(self, inputs: Sequence[Input], values: dict):
         self._inputs, self._values = inputs, values
@@ -61,14 +62,14 @@ class Preflight:
         return ('warning' if wrong else 'info',
                 f'what comes in ({f"{wrong} to look at" if wrong else "all fine"}):\n{text}')
 
-    def _input(self, told: Input) -> tuple[str, str]:
-        traffic = told.traffic
+    def _input(self, source: Input) -> tuple[str, str]:
+        traffic = source.traffic
         if not traffic.count:
-            return told.kind, f'no message: {told.why_silent()}'
-        seen = f"{told.kind}, {traffic.hertz:.1f} Hz, frame '{traffic.frame_id}', stamps {traffic.delay:.3g} s old"
-        if told.name == 'imu' and traffic.hertz < 20.0:
+            return source.kind, f'no message: {source.why_silent()}'
+        seen = f"{source.kind}, {traffic.hertz:.1f} Hz, frame '{traffic.frame_id}', stamps {traffic.delay:.3g} s old"
+        if source.name == 'imu' and traffic.hertz < 20.0:
             return seen, 'an IMU needs 20 Hz or more'
-        return seen, told.qos_problem()
+        return seen, source.qos_problem()
 
     def _mounting(self, force) -> tuple[str, str]:
         declared = self._values['imu.mounting_rpy']
@@ -80,7 +81,8 @@ class Preflight:
     def _clocks(self) -> tuple[str, str]:
         if not self._ages:
             return 'nothing to compare', 'no samples, or no fixes'
-        # stamp against stamp: the clock of this machine does not run as those of a recording that is played fast
+        # stamps are compared with stamps: the clock of this machine differs from that of a recording that is played
+        # fast
         age, offset = median(self._ages), self._values['gnss.time_offset']
         seen = f"stamps of the fixes are {_older(age)} than the IMU's when they arrive"
         if offset:

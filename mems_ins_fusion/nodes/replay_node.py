@@ -1,6 +1,6 @@
-"""replay_node: recordings through the same filter as live, with each sensor error model, against a reference.
+"""replay_node: runs the filter of the live node over recordings, with each sensor error model, against a reference.
 
-The work is in `evaluation.replay`; here are the parameters, the progress bar and the exit status.
+This file has the parameters, the progress bar and the exit status; the work is in `reports.replay`.
 """
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ReplayNode(Node):
                 raise ParameterError(f"parameter '{name}' is missing: -p bag:=RECORDING -p output_dir:=FOLDER")
 
     def replay(self, stop: Stop) -> int:
-        """Replay and print what came out; the exit status."""
+        """Replay and print the result; returns the exit status."""
         from ..reports.replay import replay_recordings
 
         stop.interrupts = True
@@ -47,11 +47,12 @@ class ReplayNode(Node):
         stop.interrupts = False
         if self._values['publish']:
             self._publish(result, stop)
-        # as diagnose: what was replayed with is certainly wrong, the page says what
+        # as in diagnose: data or parameters are certainly wrong, and the page says why
         return BAD_INPUT if result.content['verdict']['answer'] == NOT_USABLE else 0
 
     def _publish(self, result, stop: Stop) -> None:
-        """One recording after the other, each model at the shortest update interval, until all is told or a signal."""
+        """Publish one recording after the other, each model at the shortest update interval, until the end or a signal.
+        """
         from ..reports.replay import origin
         from ..reports.trajectories import odometry_of
         from .playback import play
@@ -66,7 +67,7 @@ class ReplayNode(Node):
 
 
 def _tell(result, verbose: bool) -> None:
-    """Print the answer and where the results are; verbose: also the errors, and what they say of the models."""
+    """Print the answer and the path of the results; verbose: also the errors, and the comparison of the models."""
     from ..reports.replay_report import summary_table
 
     for recording in result.content['recordings']:
@@ -85,7 +86,8 @@ def _tell(result, verbose: bool) -> None:
 
 
 def _interruptible(tell: Progress, stop: Stop):
-    """`tell`, but KeyboardInterrupt after a signal: that of its handler may have been lost in a library's callback."""
+    """`tell` that raises KeyboardInterrupt after a signal: the exception of the signal handler may have been lost in a
+    callback of a library."""
     def told(part: float, what: str) -> None:
         if stop.requested:
             raise KeyboardInterrupt
@@ -94,5 +96,5 @@ def _interruptible(tell: Progress, stop: Stop):
 
 
 def main(argv: list[str]) -> int:
-    """Replay what the parameters in `argv` ask for; the exit status."""
+    """Replay as specified by the parameters in `argv`; returns the exit status."""
     return run(NAME, ReplayNode, argv, ReplayNode.replay, (FILTER, REPLAY))

@@ -1,4 +1,4 @@
-"""The table of parameters as ROS 2 parameters: declared with range and unit, wrong names and values refused."""
+"""Declares the table of parameters as ROS 2 parameters, with range and unit; refuses wrong names and values."""
 from __future__ import annotations
 
 import math
@@ -32,7 +32,7 @@ def declare(node: Node, argv: list[str], table: Iterable[Parameter],
 
 
 def _given(node: Node) -> dict:
-    """What the user set, without ROS's own parameters (use_sim_time, qos_overrides...)."""
+    """The parameters that the user set, without those of ROS itself (use_sim_time, qos_overrides...)."""
     return {name: parameter.value for name, parameter in node._parameter_overrides.items()
             if not (node.has_parameter(name) or name.startswith('qos_overrides.'))}
 
@@ -66,7 +66,7 @@ def describe(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
 
 
 def _constraints(parameter):
-    """What ROS's ranges cannot say, in words."""
+    """Limits that ROS's ranges cannot express, in words."""
     constraints = []
     if parameter.choices:
         constraints.append('one of ' + ', '.join(parameter.choices))
@@ -78,9 +78,9 @@ def _constraints(parameter):
 
 
 def refuse_unused_qos_overrides(node: Node, later: Iterable[str] = ()) -> None:
-    """ParameterError for an override of the QoS of a topic that `node`, complete by now, does not use.
+    """Raise ParameterError for a QoS override of a topic that `node` does not use; call it when `node` is complete.
 
-    later: topics that it will subscribe when a publisher shows their type.
+    later: topics to which it will subscribe when a publisher shows their type.
     """
     known = tuple(f'qos_overrides.{topic}.subscription.' for topic in later)
     for name in node._parameter_overrides:
@@ -95,7 +95,7 @@ def params_files(argv: list[str]) -> list[Path]:
 
 
 def _refuse_files_for_others(node: Node, argv: list[str]) -> None:
-    """ParameterError for a params file without a section for `node`: ROS ignores such a file silently."""
+    """Raise ParameterError for a params file without a section for `node`: ROS ignores such a file silently."""
     name = node.get_fully_qualified_name()
     for path in params_files(argv):
         content = read_yaml(path)
@@ -106,7 +106,7 @@ def _refuse_files_for_others(node: Node, argv: list[str]) -> None:
 
 
 def _sections(tree: dict, prefix: str = '') -> Iterator[str]:
-    """Names of the nodes (patterns with * and **) that a params file speaks of."""
+    """Names of the nodes (patterns with * and **) that have a section in a params file."""
     for key, value in tree.items():
         name = f"{prefix}/{str(key).strip('/')}"
         if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""From the command line to a spinning node and to a clean exit: the same for each node of the package."""
+"""From the command line to a running node and to a clean exit, for all nodes of the package."""
 from __future__ import annotations
 
 import errno
@@ -26,18 +26,18 @@ from ..parameters.parameter import Parameter, ParameterError
 from ..parameters.params_file import load_yaml, yaml_value
 from .ros_parameters import params_files
 
-#: ROS arguments, for who leaves out --ros-args
+#: ROS arguments, for a hint to users who leave out --ros-args
 _ROS_OPTIONS = ('--params-file', '-p', '--param', '-r', '--remap', '--log-level')
-#: what a user got wrong, as opposed to a defect of the program
+#: exceptions for errors of the user, as opposed to defects of the program
 _USER_ERRORS = (InputError, ParameterException, NameValidationException, InvalidQosOverridesError)
 
 
 class Stop:
-    """SIGINT and SIGTERM as a request: `requested` says that one came.
+    """SIGINT and SIGTERM as a request: `requested` is true after one has come.
 
-    While `interrupts`, the first one also raises KeyboardInterrupt: only in plain Python, since an exception in the
-    middle of an rclpy call, of the compiler or of a shutdown leaves a traceback or worse. Further ones do nothing:
-    ros2 launch and impatient users send several.
+    While `interrupts` is true, the first signal also raises KeyboardInterrupt. It is true only in plain Python, since
+    an exception within an rclpy call, the compiler or a shutdown leaves a traceback or worse. Further signals are
+    ignored: ros2 launch and impatient users send several.
     """
 
     def __init__(self):
@@ -53,7 +53,7 @@ class Stop:
 
 
 def spin(node: Node, stop: Stop) -> None:
-    """Serve the callbacks of `node` until `stop` is requested; a steady timer must wake it now and then."""
+    """Serve the callbacks of `node` until `stop` is requested; needs a steady timer in the node that wakes it."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     while not stop.requested:
@@ -62,10 +62,10 @@ def spin(node: Node, stop: Stop) -> None:
 
 def run(name: str, make_node: Callable[[list[str], Stop], Node], argv: list[str],
         work: Callable[[Node, Stop], int | None], tables: tuple[tuple[Parameter, ...], ...]) -> int:
-    """Make the node with `make_node(argv, stop)` and let `work(node, stop)` run; the exit status.
+    """Make the node with `make_node(argv, stop)` and run `work(node, stop)`. Returns the exit status.
 
-    tables: the node's parameters, for --help. 0 after a signal, that of `work` (None is 0) where it returns by itself,
-    2 with one line on stderr where `argv` or the parameters are wrong.
+    tables: the node's parameters, for --help. The exit status is 0 after a signal, that of `work` (None is 0) if it
+    returns by itself, and 2, with one line on stderr, if `argv` or the parameters are wrong.
     """
     if '--version' in argv:
         print(VERSION)
@@ -106,10 +106,10 @@ def usage(name: str, tables: tuple[tuple[Parameter, ...], ...]) -> str:
 
 
 def _initialize(name, argv):
-    """rclpy.init, with what is wrong in `argv` as a ParameterError."""
+    """Call rclpy.init; errors in `argv` are raised as ParameterError."""
     set_logger_level('rcl', LoggingSeverity.FATAL)  # it would log the same error in its own words
     for path in params_files(argv):
-        if path.exists() and not path.is_file():  # rcl would wait for ever for what comes out of a pipe
+        if path.exists() and not path.is_file():  # rcl would wait for ever for the content of a pipe
             raise ParameterError(f'params file {path} is not a file')
     _check_log_folder()
     try:
@@ -129,7 +129,7 @@ def _initialize(name, argv):
 
 
 def _check_log_folder() -> None:
-    """ParameterError where ROS cannot write its log: rclpy.init would fail, and then wait for ever at the end."""
+    """Raise ParameterError if ROS cannot write its log: rclpy.init would fail, and the process would not end."""
     home = os.environ.get('ROS_HOME') or os.path.join('~', '.ros')
     folder = os.path.expanduser(os.environ.get('ROS_LOG_DIR') or os.path.join(home, 'log'))
     try:
@@ -142,7 +142,8 @@ def _check_log_folder() -> None:
 
 
 def _explain(error, argv) -> str:
-    """rcl's reason in a user's words; ParameterError where our own reader of params files can say it better."""
+    """rcl's error message in plain words. Raises ParameterError where this package's reader of params files has a
+    better message."""
     for path in params_files(argv):
         for name, value in load_yaml(path).items():
             if isinstance(value, list) and len({type(v) for v in value}) > 1:

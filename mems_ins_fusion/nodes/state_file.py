@@ -1,4 +1,4 @@
-"""What the filter knew when it was stopped, kept in a file for the next start."""
+"""The state file: state and findings of the filter when it was stopped, for the next start."""
 from __future__ import annotations
 
 import json
@@ -13,11 +13,11 @@ from ..navigation.earth import to_local
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL
 
-_VERSION = 2  # of the file: others are not read
+_VERSION = 2  # version of the file format; files with another version are not read
 
 
 class StateFile:
-    """A snapshot of the filter in the file `path`; max_age: s, max_distance: m, beyond which it is not used."""
+    """A snapshot of the filter in the file `path`. max_age: s, max_distance: m: limits beyond which it is not used."""
 
     def __init__(self, path: str, max_age: float, max_distance: float):
         self._path = Path(path).expanduser()
@@ -28,8 +28,8 @@ class StateFile:
         self._calibration: list[dict] = []
 
     def read(self) -> str | None:
-        """Read the file, for `fitting`; what is wrong with it, None where nothing is or there is none yet. What a node
-        that was killed while it wrote has left beside it goes."""
+        """Read the file, for `fitting`, and remove unfinished files of a node that was killed while it wrote. Returns
+        what is wrong with the file; None if nothing is wrong or there is no file yet."""
         for unfinished in self._path.parent.glob(f'.{self._path.name}.*'):
             unfinished.unlink(missing_ok=True)
         if self._path.exists() and not self._path.is_file():  # a pipe would be waited for, for ever
@@ -44,8 +44,8 @@ class StateFile:
             calibration = content.get('calibration', [])
             for one in calibration:
                 _kept(one)
-                for told in one.get('devices', {}).values():
-                    float(told['rate'])
+                for device in one.get('devices', {}).values():
+                    float(device['rate'])
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -54,21 +54,21 @@ class StateFile:
         return None
 
     def calibration(self, topics: dict) -> tuple[list[Kept], list[str]]:
-        """What earlier drives have found of the sensors on the same `topics`, and that in words. It does not go with
-        the time or the place of the snapshot."""
+        """The findings of earlier drives for the sensors on the same `topics`, and their description in words. They do
+        not depend on time and position of the snapshot."""
         same = [one for one in self._calibration if one['topics'] == topics]
         return [_kept(one) for one in same], [
             f"state file {self._path}: {one['name']} of an earlier drive: " + ', '.join(
                 f'{name}: {value}' for name, value in one['set'].items()) for one in same]
 
     def devices(self, topics: dict) -> dict[str, dict]:
-        """What the sensors on the same `topics` told of themselves when that was found; empty in older files."""
+        """Properties of the devices on the same `topics` for which the findings are valid; empty in older files."""
         return next((one['devices'] for one in self._calibration if one['topics'] == topics and one.get('devices')), {})
 
     def fitting(self, stamp: int, latitude: float, longitude: float, height: float) -> tuple[dict | None, str] | None:
-        """The snapshot, where it fits a first fix (ns, rad, m), and what is to be said of it; None where there is none.
+        """The snapshot, if it fits the first fix (ns, rad, m), and a message; None if there is no snapshot.
 
-        It is looked at once: what did not fit the first fix is not tried again.
+        It is used once: a snapshot that did not fit the first fix is not tried again.
         """
         snapshot, self._snapshot = self._snapshot, None
         if snapshot is None:
@@ -87,10 +87,9 @@ class StateFile:
 
     def write(self, snapshot: dict, kept: list[Kept] | None = None, topics: dict | None = None,
               devices: dict | None = None) -> str | None:
-        """Replace the file, the old or the new one at any moment; what went wrong, or None.
+        """Replace the file; at any moment either the old or the new one exists. Returns an error message, or None.
 
-        kept: what is known of the sensors on `topics`; None: what was in the file stays there. devices: what these
-        sensors tell of themselves.
+        kept: findings for the sensors on `topics`; None: those in the file stay. devices: properties of these sensors.
         """
         if kept is not None:
             self._calibration = [one for one in self._calibration if one['topics'] != topics] + [
@@ -110,7 +109,7 @@ class StateFile:
 
 
 def _kept(one: dict) -> Kept:
-    """An entry of the file. Raises ValueError, KeyError or TypeError where it is none."""
+    """A finding from an entry of the file. Raises ValueError, KeyError or TypeError for an invalid entry."""
     values = {name: ALL[name].check(value) for name, value in one['set'].items()}
     return Kept(str(one['name']), {name: Estimate(float(value), None if sigma is None else float(sigma), str(unit))
                                    for name, (value, sigma, unit) in one['parameters'].items()}, values,

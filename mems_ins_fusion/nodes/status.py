@@ -1,4 +1,4 @@
-"""How filter and inputs are, for people and their tools: diagnostic_msgs/DiagnosticArray, once a second."""
+"""Status of filter and inputs as diagnostic_msgs/DiagnosticArray, once a second."""
 from __future__ import annotations
 
 import math
@@ -13,28 +13,28 @@ from ..samples import SECOND
 from .inputs import Input
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-#: states of the filter in which all is as it should be
+#: states of the filter without a problem
 GOOD_STATES = ('aligning', 'fusing')
-#: those without an estimate
+#: states of the filter without an estimate
 BEFORE_START = ('waiting', 'aligning')
-#: the node's own: the samples have stopped, so that there is no estimate any more
+#: state of the node: the samples have stopped, so that there is no estimate any more
 SILENT = 'silent'
 _BAD_STATES = ('recovering', SILENT)
-#: s after which a filter that cannot start is a warning: a first sample may be wrong
+#: s after which a filter that cannot start is reported as a warning: the first samples may be wrong
 CANNOT_START_WARNING = 5.0
-#: s after which it is an error
+#: s after which it is reported as an error
 CANNOT_START_ERROR = 30.0
-#: s over which the refused part of the messages is counted
+#: s over which the share of refused messages is counted
 RECENT = 10
-#: refused part of the messages that is worth a warning
+#: share of refused messages above which there is a warning
 MUCH = 0.1
-#: how fast a vehicle that nobody watches may change its speed, m/s^2, one sigma
+#: m/s^2, standard deviation of the acceleration of the vehicle while there are no samples. Chosen, not measured
 _UNKNOWN_ACCELERATION = 1.0
 _COMPONENTS = {1: ('innovation',), 2: ('innovation_north', 'innovation_east')}
 
 
 def level_of(state: str, cannot_start: float = 0.0) -> bytes:
-    """OK, WARN or ERROR for a state of the filter. cannot_start: s for which it has waited for what will not come."""
+    """OK, WARN or ERROR for a state of the filter. cannot_start: s for which the filter has not been able to start."""
     if state in _BAD_STATES or cannot_start > CANNOT_START_ERROR:
         return ERROR
     return OK if state in GOOD_STATES and cannot_start <= CANNOT_START_WARNING else WARN
@@ -42,7 +42,7 @@ def level_of(state: str, cannot_start: float = 0.0) -> bytes:
 
 def filter_status(name: str, state: str, level: bytes, since: float, reasons: list[str], health: dict
                   ) -> DiagnosticStatus:
-    """Of the filter. since: s that `state` has lasted. reasons: what there is to say of it, in words."""
+    """The status of the filter. since: s for which `state` has lasted. reasons: why it is not good, in words."""
     lasted = f' for {since:.0f} s' if since >= 1.0 else ''
     message = f"{state}{lasted}{': ' if reasons else ''}{'; '.join(reasons)}"
     return DiagnosticStatus(level=level, name=f'{name}: filter', message=message, hardware_id=name,
@@ -50,9 +50,9 @@ def filter_status(name: str, state: str, level: bytes, since: float, reasons: li
 
 
 def by_the_clock(health: dict, silence: float) -> dict:
-    """`health` of a filter whose newest sample came `silence` s ago: what is older and less sure by now.
+    """`health` of a filter whose newest sample came `silence` s ago, with ages and sigmas that have grown since.
 
-    The vehicle goes on, at a speed that nobody watches.
+    The vehicle is assumed to go on with a speed that changes by _UNKNOWN_ACCELERATION.
     """
     grown = dict(health)
     if 'age of the last fix used, s' in grown:
@@ -68,25 +68,25 @@ def by_the_clock(health: dict, silence: float) -> dict:
 class InputStatus:
     """The status of one input on /diagnostics, `look` once a second."""
 
-    def __init__(self, told: Input):
-        self.input, self.lost, self.waited = told, 0, 0.0
+    def __init__(self, source: Input):
+        self.input, self.lost, self.waited = source, 0, 0.0
         self._recent: deque[tuple[int, int]] = deque(maxlen=RECENT)
         self._before = 0, 0
 
     def look(self, tally: Tally) -> None:
-        """Take in what has come since the last call."""
+        """Update from the messages since the last call."""
         total = self._used(tally), sum(tally.refused.values())
         used, refused = (now - before for now, before in zip(total, self._before))
         self._before = total
-        self._recent.append((used, refused) if used >= 0 and refused >= 0 else (0, 0))  # the filter began anew
+        self._recent.append((used, refused) if used >= 0 and refused >= 0 else (0, 0))  # negative after a restart
         self.lost, self.waited = self.input.traffic.look(self.input.publishers())
 
     def _used(self, tally: Tally) -> int:
-        """The filter does not count the samples of the IMU, of which it takes nearly all."""
+        """Number of messages used. The filter does not count the samples of the IMU: nearly all are used."""
         return self.input.traffic.count - sum(tally.refused.values()) if self.input.name == 'imu' else tally.used
 
     def status(self, name: str, tally: Tally, problem: tuple[str, str] | None, more: dict) -> DiagnosticStatus:
-        """problem: level ('warning' or 'error') and text of what is wrong with it for certain."""
+        """The status of the input. problem: level ('warning' or 'error') and text of a certain problem, or None."""
         traffic = self.input.traffic
         level, message = self._verdict(tally, problem)
         values = {'topic': self.input.topic_name, 'type': self.input.kind, 'frame': traffic.frame_id,
@@ -121,10 +121,10 @@ class InputStatus:
 
 
 def verdict(name: str, judged) -> DiagnosticArray:
-    """What became of one measurement, stamped with its own time; numbers that plot tools draw over time.
+    """What the filter did with one measurement, stamped with the measurement's time; plot tools can show the numbers.
 
-    A DiagnosticArray carries a stamp, numbers and a reason in one standard message: used (0, 1), weight, nis and the
-    innovation's components.
+    A DiagnosticArray has a stamp, numbers and a reason in one standard message: used (0, 1), weight, nis and the
+    components of the innovation.
     """
     names = _COMPONENTS[len(judged.innovation)]
     numbers = {'used': int(judged.used), 'weight': judged.weight, 'nis': judged.nis,
@@ -137,7 +137,7 @@ def verdict(name: str, judged) -> DiagnosticArray:
 
 
 def horizon_status(name: str, horizon: Horizon | None, limit: float) -> DiagnosticStatus:
-    """The trust horizon to `limit`, m; None where nothing is trusted: there is no estimate with a heading."""
+    """The status of the trust horizon to `limit`, m. horizon: None while there is no estimate with a heading."""
     seconds, metres = horizon or (0.0, 0.0)
     said = f'without fixes the error stays below {limit:g} m for {horizon.in_words}' if seconds > 0.0 else (
         f'the error may be larger than {limit:g} m now' if horizon else 'no estimate with a heading')
@@ -147,7 +147,7 @@ def horizon_status(name: str, horizon: Horizon | None, limit: float) -> Diagnost
 
 
 def quantity_status(name: str, quantity: Quantity) -> DiagnosticStatus:
-    """What the diagnosis while driving knows of one thing."""
+    """The status of one quantity of the diagnosis while driving."""
     values: dict = {'state': quantity.state}
     for parameter, estimate in quantity.parameters.items():
         unit = '' if estimate.unit == '-' else f', {estimate.unit}'

@@ -1,4 +1,4 @@
-"""How the messages of one topic come: how often, how late, whether some are lost, and since when there are none."""
+"""Statistics of the messages on one topic: rate, delay, lost messages, silence."""
 from __future__ import annotations
 
 import math
@@ -8,17 +8,16 @@ from collections.abc import Callable
 from ..samples import SECOND
 from .log import Watch
 
-#: between two numbers of a publisher further apart than this, it is another publisher
+#: largest step of a publisher's sequence numbers; a larger one means another publisher
 _FAR = 10**6
 
 
 class Traffic(Watch):
-    """A `Watch` whose messages are counted by `take`, the hot path.
+    """A `Watch` whose messages are counted by `take`, which is called for each message and kept fast.
 
-    count: messages so far. lost: how many are missing between those that came, by the publisher's own numbers.
-    frame_id, stamp (ns): of the newest message. delay: s from the stamp to when a message was taken, NaN before the
-    first; of one message a second, as that of the hot path costs. hertz: messages a second, by their stamps. now: the
-    node's clock, ns.
+    count: number of messages so far. lost: number of missing messages, by the publisher's sequence numbers. frame_id,
+    stamp (ns): of the newest message. delay: s from the stamp to the processing, NaN before the first message; measured
+    for one message a second, to save time. hertz: messages per second, by their stamps. now: the node's clock, ns.
     """
 
     def __init__(self, patience: float, now: Callable[[], int], period: float = 30.0,
@@ -31,7 +30,8 @@ class Traffic(Watch):
         self._counted = 0, 0
 
     def take(self, header, info: dict) -> float:
-        """A message with this header came; how much later than the quickest one so far, s. info: rclpy's."""
+        """Count a message with this header. Returns its delay relative to the fastest message so far, s. info: rclpy's.
+        """
         self.count += 1
         self.stamp = header.stamp.sec * SECOND + header.stamp.nanosec
         number, sent = info['publication_sequence_number'], info['source_timestamp']
@@ -50,13 +50,13 @@ class Traffic(Watch):
         return waited * 1e-9
 
     def waited(self, info: dict) -> float:
-        """How much later than the quickest one so far a message that is not taken yet has come, s."""
+        """Delay, s, of a message that is not processed yet, relative to the fastest message so far."""
         return (time.time_ns() - info['source_timestamp'] - self._quickest) * 1e-9
 
     def look(self, publishers: int) -> tuple[int, float]:
-        """Once a second: how many messages were lost since the last call, and how late the slowest was, s.
+        """Called once a second: number of messages lost since the last call, and delay of the slowest one, s.
 
-        publishers: of the topic; the numbers of several do not follow each other.
+        publishers: number of publishers of the topic; with several, the sequence numbers are not consecutive.
         """
         missing, waited = self._missing if publishers == 1 else 0, self._waited * 1e-9
         self.lost += missing
@@ -65,7 +65,8 @@ class Traffic(Watch):
         return missing, waited
 
     def _count_rate(self) -> None:
-        """Of the messages since the last call: a recording that is played five times as fast has its own rates."""
+        """Compute the rate from the stamps since the last call: at five times the speed a recording has its own rates.
+        """
         (then, count), self._counted = self._counted, (self.stamp, self.count)
         if self.count == count:
             self.hertz = 0.0
@@ -74,10 +75,10 @@ class Traffic(Watch):
 
     @property
     def silence(self) -> float:
-        """How long ago the last message came, or the topic was subscribed, s: to a second."""
+        """Time since the last message, or since the subscription, s, accurate to a second."""
         return self._clock() - self._since
 
     @property
     def is_stale(self) -> bool:
-        """Whether there is nothing for longer than can be."""
+        """Whether the topic has been silent for longer than its patience."""
         return self.silence > self._patience

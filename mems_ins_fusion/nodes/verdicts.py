@@ -1,4 +1,4 @@
-"""What became of each measurement: on ~/verdicts, and the refused fixes for maps and views."""
+"""Publishes what the filter did with each measurement on ~/verdicts, and the refused fixes for display on maps."""
 from __future__ import annotations
 
 import math
@@ -15,11 +15,11 @@ from .geographic import to_local_point, world_frame
 from .inputs import stamp_of
 from .status import verdict
 
-#: used fixes of which the mean NIS is told
+#: number of used fixes over which the NIS is averaged
 _NIS_COUNT = 100
-#: newest fixes among which refused ones are looked for: the filter decides on one within gnss.max_delay
+#: number of newest fixes that are kept until the filter has decided on them, which takes gnss.max_delay at most
 _FIXES_KEPT = 50
-#: a stamp that went through the filter's seconds since its epoch is that of a message where it is nearer than this, ns
+#: ns, largest difference of two equal stamps, of which one was converted to the filter's seconds and back
 _SAME_STAMP = 1000
 
 
@@ -36,15 +36,15 @@ class Verdicts:
 
     @property
     def mean_nis(self) -> float | None:
-        """Of the latest fixes that were used; None before the first."""
+        """Mean NIS of the latest fixes that were used; None before the first."""
         return sum(self._nis) / len(self._nis) if self._nis else None
 
     def keep(self, fix: NavSatFix) -> None:
-        """A fix that the filter is about to judge."""
+        """Keep a fix until the filter has decided on it."""
         self._fixes.append(fix)
 
     def publish(self) -> None:
-        """Those since the last call."""
+        """Publish the verdicts since the last call."""
         for judged in self._fusion.verdicts():
             self._verdicts.publish(verdict(self._name, judged))
             if judged.kind == 'fix' and judged.used:
@@ -53,7 +53,7 @@ class Verdicts:
                 self._show_refused(judged.stamp)
 
     def _show_refused(self, stamp: int) -> None:
-        """stamp: ns, in the clock of the IMU."""
+        """Publish the refused fix with this stamp, ns, in the clock of the IMU."""
         offset = round(self._fusion.config.parameters['gnss.time_offset'] * 1e9)
         message = next((fix for fix in self._fixes if abs(stamp_of(fix) - stamp - offset) < _SAME_STAMP), None)
         if message is None:

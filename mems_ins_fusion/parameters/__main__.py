@@ -1,4 +1,5 @@
-"""The documents that the table of parameters writes: `docs/parameters.md`, and `config/fusion.yaml` with --yaml."""
+"""Writes the documents generated from the table of parameters: `docs/parameters.md`, and `config/fusion.yaml` with
+--yaml."""
 from __future__ import annotations
 
 import math
@@ -39,7 +40,7 @@ def example() -> str:
 
 
 def _allowed(p: Parameter) -> str:
-    """The range of `p` in words; empty where anything goes or the description says it."""
+    """The range of `p` in words; empty if any value is allowed, or the description contains the range."""
     if p.choices:
         return ', '.join(p.choices)
     if p.positive:

@@ -1,4 +1,4 @@
-"""What a parameter is: name, default, unit, range, meaning; and what is said of one that cannot be used."""
+"""A parameter: name, default, unit, range, meaning; and the messages on values that cannot be used."""
 from __future__ import annotations
 
 import math
@@ -26,11 +26,11 @@ class Parameter:
     choices: tuple[str, ...] = ()
     lengths: Sequence[int] | None = None  # of a list, a tuple or a range; None allows any
     positive: bool = False  # excludes zero, and the empty text
-    elements: tuple[tuple[str, float], ...] = ()  # of a list: what each is, and its largest magnitude
+    elements: tuple[tuple[str, float], ...] = ()  # of a list: name and largest magnitude of each element
 
     @property
     def shown_unit(self) -> str:
-        """The unit as people read it: none of texts and ratios."""
+        """The unit for people; '' for texts and ratios."""
         return '' if self.unit in ('text', '-') else self.unit
 
     @property
@@ -73,7 +73,7 @@ class Parameter:
             if isinstance(value, bool):
                 return value
         elif kind is str:
-            if isinstance(value, bool) and 'off' in self.choices:  # YAML and ROS read on and off so where nobody quotes
+            if isinstance(value, bool) and 'off' in self.choices:  # YAML and ROS read unquoted on and off as booleans
                 value = 'on' if value else 'off'
             if isinstance(value, str):
                 return self._check_choice(value)

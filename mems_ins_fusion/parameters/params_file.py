@@ -12,14 +12,14 @@ from mems_ins_fusion.guard import one_line
 
 from .parameter import ParameterError
 
-#: bytes, largest file that is read: those that people and recorders write are far smaller
+#: bytes, largest file that is read: files by people and recorders are far smaller
 _LARGEST = 1_000_000
-#: levels, deepest nesting that is read: such files are far flatter
+#: largest number of nested levels that is read: such files have far fewer
 _DEEPEST = 20
 
 
 class YamlError(InputError):
-    """Text that is no YAML, or none that is read here: one line that says why."""
+    """Text that is not valid YAML, or YAML that is not supported; the message says why in one line."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -41,8 +41,8 @@ class _Loader(yaml.SafeLoader):
 
 
 def read_yaml(path):
-    """The one document in the YAML file `path`. OSError where it cannot be read, YamlError where it is not usable."""
-    if Path(path).exists() and not Path(path).is_file():  # a pipe that nobody fills would be waited for, for ever
+    """The document in the YAML file `path`. Raises OSError if it cannot be read, YamlError if it is not usable."""
+    if Path(path).exists() and not Path(path).is_file():  # reading from a pipe could wait for ever
         raise YamlError('it is not a file')
     with Path(path).open('rb') as file:
         data = file.read(_LARGEST + 1)
@@ -66,7 +66,7 @@ def read_yaml(path):
 def load_yaml(path) -> dict:
     """The parameters in a ROS 2 params file as a flat dictionary of given names, unchecked.
 
-    Those of all its sections: of one given twice, that of a node counts more than that of `/**`. ParameterError.
+    The parameters of all sections are combined; the section of a node has precedence over `/**`. Raises ParameterError.
     """
     path = Path(path)
     try:
@@ -86,7 +86,7 @@ def load_yaml(path) -> dict:
 
 
 def load_files(paths: Iterable) -> dict:
-    """The parameters of several params files as one, unchecked; where two say different, the later one counts."""
+    """The parameters of several params files, unchecked; a later file has precedence."""
     values: dict = {}
     for path in paths:
         values.update(load_yaml(path))
@@ -106,7 +106,7 @@ def _flatten(tree: dict, path: Path, prefix: str = '') -> dict:
 
 
 def yaml_value(value) -> str:
-    """`value` as ROS reads it back in the same type: decimals keep their point."""
+    """`value` as text that ROS reads as the same type: floating-point numbers have a point."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):

@@ -1,6 +1,6 @@
-"""What inputs besides the fixes say against these: units, signs, frames, the sigma they state.
+"""Checks of the inputs besides the fixes, by comparison with the fixes: units, signs, frames, stated sigma.
 
-Each is averaged over chords between fixes that are long enough to have a direction.
+Each input is averaged over chords: straight lines between fixes that are far enough apart to have a direction.
 """
 from __future__ import annotations
 
@@ -34,29 +34,34 @@ from mems_ins_fusion.samples import (
     in_time_order,
 )
 
-#: Pa each
+#: Pa in each unit of pressure
 PRESSURES = {'Pa': 1.0, 'hPa': 100.0, 'kPa': 1000.0, 'bar': 1e5, 'psi': 6894.76, 'mmHg': 133.322}
-#: T each, and between which sizes the field of the earth with iron beside it is: in no two of them the same number
+#: T in each unit of a magnetic field
 FIELDS = {'T': 1.0, 'mT': 1e-3, 'uT': 1e-6, 'nT': 1e-9, 'gauss': 1e-4, 'mG': 1e-7}
+#: T, range of the earth's field with iron nearby: it does not overlap for any two of these units
 _WEAKEST, _STRONGEST = 15e-6, 150e-6
-_EARTH = 50e-6  # T: its size in the middle latitudes
-_DISTURBED = 0.5  # part of the horizontal field by which it may scatter about what the course tells
-_CLIMB = 10.0  # m, standard deviation of heights that tell something against those of fixes
-#: m/s each, of those that a receiver, a vehicle or a log may give a speed in
+_EARTH = 50e-6  # T, size of the earth's field in middle latitudes
+_DISTURBED = 0.5  # largest scatter of the horizontal field about the one expected by the course, as a share of it
+_CLIMB = 10.0  # m, smallest standard deviation of the heights of the fixes for a comparison with a pressure
+#: m/s in each unit that a receiver, a vehicle or a log may use for a speed
 SPEED_UNITS = {'m/s': 1.0, 'km/h': 1 / 3.6, 'mph': 0.44704, 'knots': 1852 / 3600, 'mm/s': 1e-3, 'cm/s': 1e-2}
-#: part by which a speed may differ from that of the fixes in another unit: mph and knots, 15 % apart, stay two
+#: largest relative difference to the speed of the fixes for a unit to be recognized: half of the 15 % between mph,
+#: knots
 _SAME_UNIT = 0.07
-_LONGEST_CHORD = 10.0  # s
-_SHORTEST_CHORD = 10.0  # in sigmas of a fix
-_SHOWS_COURSE = 1.0  # m/s, of a vehicle whose course tells the heading well enough
-_FEWEST = 12  # chords for a verdict
-_OVERSURE = 3.0  # times the stated sigma
-_ALIGNED = 0.9  # cosine
-_PROPORTIONAL = 0.2  # scatter of a speed's ratio to that of the fixes, as a part of it; of an east velocity it is 1
-_ZERO = 0.02  # m/s: a speed that is never more is none
-_TURNED = 0.02  # variance of the courses' unit vectors, where they differ least: some 30 deg to each side
-_CURVE = 0.03  # rad: by which courses of chords differ from headings in bends, whatever the receiver
-#: what a horizontal velocity north-east turns into where the message is not east-north-up
+_LONGEST_CHORD = 10.0  # s, longest chord
+_SHORTEST_CHORD = 10.0  # shortest chord, in standard deviations of a fix
+_SHOWS_COURSE = 1.0  # m/s, smallest speed of a vehicle whose course shows its heading
+_FEWEST = 12  # smallest number of chords for a finding
+_OVERSURE = 3.0  # ratio of the scatter to the stated sigma above which the sigma is reported as too small
+_ALIGNED = 0.9  # cosine of the angle between two velocities above which they have the same direction
+#: largest scatter of the ratio of a speed to that of the fixes, relative to the ratio; for an east velocity it is 1
+_PROPORTIONAL = 0.2
+_ZERO = 0.02  # m/s: an input whose speed never exceeds this stays at zero
+#: smallest variance of the unit vectors of the courses, in the direction in which they differ least, for a comparison
+#: with a magnetic field: courses within some 30 deg to each side have less
+_TURNED = 0.02
+_CURVE = 0.03  # rad by which the courses of chords differ from the headings in bends, with any receiver
+#: matrices that a wrong frame of the message applies to a horizontal velocity (north, east)
 _MISTAKES = {
     'north-east-down instead of east-north-up': np.array([[0.0, 1.0], [1.0, 0.0]]),
     'of the opposite sign': -np.eye(2),
@@ -67,8 +72,8 @@ _MISTAKES = {
 
 @dataclass(frozen=True)
 class _Chords:
-    """From fix to later fix: begin, end: (k,) ns. velocity: (k, 2) m/s north-east, the mean. climb: (k,) m/s.
-    sigma: (k,) m/s of a component of the velocity.
+    """Chords between fixes. begin, end: (k,) ns. velocity: (k, 2) m/s north-east, the mean. climb: (k,) m/s. sigma:
+    (k,) m/s of a component of the velocity.
     """
 
     begin: np.ndarray
@@ -90,10 +95,10 @@ class _Chords:
 
 
 def check_aiding(measurement: Measurement, samples, fixes: Fixes | None, settings: SensorSettings) -> list[Finding]:
-    """What `samples`, as the messages have them, say against the fixes once the `settings` are applied to them.
+    """Compare `samples` of an input with the fixes, after the `settings` are applied to the samples.
 
-    The first finding that a parameter would remove names it with its value. fixes: valid ones in the order of their
-    stamps, or None. Empty for a measurement that nothing here compares with fixes.
+    If a parameter would correct a finding, the first such finding names it with its value. fixes: valid fixes in the
+    order of their stamps, or None. Empty for an input for which there is no check here.
     """
     kind = NAMES.get(measurement.kind)
     if kind not in _CHECKS:
@@ -109,7 +114,7 @@ def check_aiding(measurement: Measurement, samples, fixes: Fixes | None, setting
 
 
 def _advice(measurement: Measurement, findings: list[Finding], declared, settings: SensorSettings) -> str:
-    """The parameter to set; '' where none helps."""
+    """Advice which parameter to set; '' where none helps."""
     name = NAMES[measurement.kind]
     shown = {key: value for finding in findings for key, value in finding.values.items()}
     if name in ('speed', 'twist') and 'ratio' in shown:
@@ -130,17 +135,17 @@ def _advice(measurement: Measurement, findings: list[Finding], declared, setting
 
 
 def check_speed(speeds: Speeds, fixes: Fixes | None) -> Iterator[Finding]:
-    """Unit, sign and scale of the speed. fixes: valid ones in the order of their stamps, or None."""
+    """Check unit, sign and scale of the speed. fixes: valid fixes in the order of their stamps, or None."""
     yield from _check_forward('speed', speeds, fixes)
 
 
 def check_twist(twists: Twists, fixes: Fixes | None) -> Iterator[Finding]:
-    """The same of the velocity forwards of an odometry."""
+    """`check_speed` for the forward velocity of an odometry."""
     yield from _check_forward('twist', forwards(twists), fixes)
 
 
 def forwards(samples: Speeds | Twists) -> Speeds:
-    """The velocity along the nose."""
+    """The forward velocity of a speed or an odometry, as a speed."""
     if isinstance(samples, Speeds):
         return samples
     return Speeds(samples.stamp, samples.received, samples.twist[:, 0], samples.variance[:, 0])
@@ -163,9 +168,10 @@ def _check_forward(topic, speeds, fixes):
 
 
 def speed_factor(speeds: Speeds, fixes: Fixes | None) -> float | None:
-    """What makes m/s, positive forwards, of `speeds`: 1 where `check_speed` would not say a word about their size.
+    """Factor that converts `speeds` to m/s, positive forwards; 1 if `check_speed` has no finding about their size.
 
-    None where they do not go with the speed of the fixes, NaN where no fixes in motion tell. fixes: as there.
+    None if they are not proportional to the speed of the fixes, NaN without enough fixes in motion. fixes: as for
+    `check_speed`.
     """
     compared = _compare('speed', speeds, speeds.speed, fixes)
     if isinstance(compared, Finding):
@@ -180,7 +186,7 @@ def speed_factor(speeds: Speeds, fixes: Fixes | None) -> float | None:
 
 
 def check_velocity(velocities: Velocities, fixes: Fixes | None) -> Iterator[Finding]:
-    """Unit and frame of the velocity. fixes: valid ones in the order of their stamps, or None."""
+    """Check unit and frame of the velocity. fixes: valid fixes in the order of their stamps, or None."""
     variance = 0.5 * (velocities.covariance[:, 0, 0] + velocities.covariance[:, 1, 1])
     yield from _check_present('velocity', velocities, velocities.velocity, variance)
     compared = _compare('velocity', velocities, velocities.velocity, fixes)
@@ -217,7 +223,7 @@ def check_velocity(velocities: Velocities, fixes: Fixes | None) -> Iterator[Find
 
 
 def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Finding]:
-    """Sense of rotation and zero of the heading. fixes: valid ones in the order of their stamps, or None."""
+    """Check sense of rotation and zero of the heading. fixes: valid fixes in the order of their stamps, or None."""
     yield from _check_present('heading', headings, headings.yaw, headings.variance)
     compared = _compare('heading', headings, headings.yaw, fixes, np.unwrap)
     if isinstance(compared, Finding):
@@ -250,14 +256,14 @@ def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Finding]:
 
 
 def pressure_factor(pressures: Pressures) -> float | None:
-    """What makes Pa of `pressures`; None where no unit does."""
+    """Factor that converts `pressures` to Pa; None if no unit fits."""
     middle = float(np.nanmedian(pressures.pressure)) if np.isfinite(pressures.pressure).any() else 0.0
     return next((per for per in PRESSURES.values() if LOWEST <= middle * per <= HIGHEST), None)
 
 
 def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Finding]:
-    """Unit of the pressure, and whether its heights go up where those of the fixes do. fixes: valid ones in the order
-    of their stamps, or None."""
+    """Check the unit of the pressure, and whether its heights change like those of the fixes. fixes: valid fixes in the
+    order of their stamps, or None."""
     yield from _check_present('pressure', pressures, pressures.pressure, pressures.variance)
     finite = np.sort(pressures.pressure[np.isfinite(pressures.pressure)])
     if not len(finite):
@@ -265,14 +271,14 @@ def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Findin
     middle = float(finite[len(finite) // 2])
     if not LOWEST <= middle <= HIGHEST:
         unit = next((unit for unit, per in PRESSURES.items() if LOWEST <= middle * per <= HIGHEST), None)
-        seems = f'it seems to be in {unit} instead of Pa' if unit else 'it is none of the air'
+        seems = f'it seems to be in {unit} instead of Pa' if unit else 'no unit makes it an air pressure'
         yield Finding(ERROR, 'pressure', f'the pressure is {middle:.4g} Pa: {seems}', {'ratio': middle / SEA_LEVEL})
         return
     if finite[0] == finite[-1]:
         yield Finding(WARNING, 'pressure', 'the pressure is the same in every message', {'count': len(finite)})
         return
-    told = replace(pressures, pressure=height_of(np.clip(pressures.pressure, LOWEST, HIGHEST)))
-    compared = _compare('pressure', told, told.pressure, fixes)
+    heights = replace(pressures, pressure=height_of(np.clip(pressures.pressure, LOWEST, HIGHEST)))
+    compared = _compare('pressure', heights, heights.pressure, fixes)
     if isinstance(compared, Finding):
         yield compared
         return
@@ -290,7 +296,7 @@ def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Findin
 
 
 def magnetic_factor(fields: MagneticFields) -> float | None:
-    """What makes T of `fields`; None where no unit does."""
+    """Factor that converts `fields` to T; None if no unit fits."""
     size = np.linalg.norm(fields.field[np.isfinite(fields.field).all(axis=1)], axis=1)
     unit = _field_unit(float(np.median(size))) if len(size) else None
     return None if unit is None else FIELDS[unit]
@@ -301,21 +307,21 @@ def _field_unit(size: float) -> str | None:
 
 
 def shows_course(fixes: Fixes | None) -> bool:
-    """Whether `fixes`, valid ones in the order of their stamps, are of a vehicle whose course means something."""
+    """Whether `fixes`, valid ones in the order of their stamps, are of a vehicle fast enough for a course."""
     chords = _chords(fixes) if fixes is not None else None
     return chords is not None and np.count_nonzero(chords.speed > _SHOWS_COURSE) >= _FEWEST
 
 
 def check_magnetometer(fields: MagneticFields, fixes: Fixes | None) -> Iterator[Finding]:
-    """Unit of the magnetic field, and whether it turns with the vehicle's course. fixes: valid ones in the order of
-    their stamps, or None."""
+    """Check the unit of the magnetic field, and whether it turns with the vehicle's course. fixes: valid fixes in the
+    order of their stamps, or None."""
     topic = 'magnetometer'
     size = np.linalg.norm(fields.field, axis=1)
     yield from _check_present(topic, fields, size, fields.variance)
     middle = float(np.nanmedian(size)) if np.isfinite(size).any() else np.nan
     if not _WEAKEST <= middle <= _STRONGEST:
         unit = _field_unit(middle)
-        seems = f'it seems to be in {unit} instead of T' if unit else 'it is none of the earth'
+        seems = f'it seems to be in {unit} instead of T' if unit else "no unit makes it the earth's field"
         yield Finding(ERROR, topic, f'the magnetic field is {middle:.4g} T: {seems}', {'ratio': middle / _EARTH})
         return
     if (fields.field == fields.field[0]).all():
@@ -342,14 +348,14 @@ def check_magnetometer(fields: MagneticFields, fixes: Fixes | None) -> Iterator[
 
 _CHECKS = {'pressure': check_pressure, 'magnetometer': check_magnetometer, 'speed': check_speed,
            'velocity': check_velocity, 'heading': check_heading, 'twist': check_twist}
-#: names of the kinds
+#: name of each kind of measurement
 NAMES = {measurement.kind: measurement.name for measurement in AIDING}
-#: what the values of a finding hold where there were fixes to compare with
+#: keys of the values of findings that come from a comparison with fixes
 COMPARED = {'climb', 'horizontal', 'ratio', 'negative', 'cosine', 'offset_rad', 'concentration'}
 
 
 def _check_present(topic, samples, value, variance):
-    """Messages that say nothing, or not how well they know it."""
+    """Findings on messages without a value, or without a covariance."""
     broken = ~_finite(value)
     if broken.any():
         count = int(broken.sum())
@@ -363,9 +369,9 @@ def _check_present(topic, samples, value, variance):
 
 
 def _compare(topic, samples, value, fixes, prepare=lambda value: value):
-    """The means of `value` over the chords that they cover, and those chords; a Finding where there are too few.
+    """Means of `value` over the chords that the samples cover, and these chords; a Finding where there are too few.
 
-    prepare: what to do to finite values in the order of their stamps before they are averaged.
+    prepare: function that is applied to the finite values, in the order of their stamps, before they are averaged.
     """
     chords = _chords(fixes) if fixes is not None else None
     if chords is None or len(chords.begin) < _FEWEST:
@@ -392,7 +398,7 @@ def _compare(topic, samples, value, fixes, prepare=lambda value: value):
 
 
 def _chords(fixes: Fixes) -> _Chords | None:
-    """Chords of about the length in time that the fixes' noise asks for, along which the vehicle moved."""
+    """Chords along which the vehicle moved, of a length in time that depends on the noise of the fixes."""
     fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
     if len(fixes) < 2:
         return None
@@ -411,8 +417,8 @@ def _chords(fixes: Fixes) -> _Chords | None:
 
 
 def _turn_rate(chords: _Chords) -> np.ndarray:
-    """(k,) rad/s, without sign: of the course, from the chord that ends where each begins to that which begins where
-    it ends. chords: all, in the order of their stamps."""
+    """Magnitude of the turn rate of the course at each chord, (k,) rad/s, from the chord before it to the one after it.
+    chords: all, in the order of their stamps."""
     before = np.minimum(np.searchsorted(chords.end, chords.begin), np.arange(len(chords.begin)))
     after = np.minimum(np.searchsorted(chords.begin, chords.end), len(chords.begin) - 1)
     time = (chords.begin[after] - chords.begin[before]) * 1e-9
@@ -420,7 +426,7 @@ def _turn_rate(chords: _Chords) -> np.ndarray:
 
 
 def _check_ratio(topic, ratio):
-    """Findings on what is measured over what the fixes show, (k,), in size."""
+    """Findings on the ratio (k,) of the measured values to those of the fixes."""
     middle = float(np.median(np.abs(ratio)))
     sigma = 1.2533 * robust_sigma(np.abs(ratio)) / np.sqrt(len(ratio))
     values = {'ratio': middle, 'sigma': float(sigma)}
@@ -451,5 +457,5 @@ def _finite(value) -> np.ndarray:
 
 
 def _concentration(angle) -> float:
-    """Mean resultant length of angles (k,) rad: 1 where they are all the same, near 0 where they are anything."""
+    """Mean resultant length of angles (k,) rad: 1 if all are equal, near 0 if they are random."""
     return float(np.hypot(np.sin(angle).mean(), np.cos(angle).mean()))

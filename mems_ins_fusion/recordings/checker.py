@@ -1,7 +1,7 @@
-"""What is wrong or remarkable with a recording, before a filter sees it.
+"""Checks of a recording before it is given to a filter.
 
-`check_recording` looks at each stream by itself (rate, gaps, stamps, values) and then at what they say about each
-other. What needs an estimate of mounting, clocks or the receiver's scatter is in `configuration.check`.
+`check_recording` checks each stream by itself (rate, gaps, stamps, values) and then compares the streams with each
+other. Checks that need an estimate of mounting, clocks or the receiver's scatter are in `configuration.check`.
 """
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 from mems_ins_fusion.filter.measurements.position import is_fix
 from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.filter.runs.usable import LARGEST_IN_ANY_UNIT, usable
+from mems_ins_fusion.filter.start.course import FASTEST
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.aiding import check_aiding
@@ -30,22 +31,20 @@ from mems_ins_fusion.recordings.units import RATE, Units, as_delivered, find_uni
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, runs
 from mems_ins_fusion.sensor_errors.models import per_axis
 
-FASTEST = 70.0  # m/s: of a land vehicle
-HARDEST = 12.0  # m/s^2: its strongest acceleration
-GAP = 2.5  # in intervals
+HARDEST = 12.0  # m/s^2, largest acceleration of a land vehicle
+GAP = 2.5  # shortest gap between messages, in median intervals
 _AXES = np.array(['x', 'y', 'z'])
-_STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertical is said to point up
-_SCALE = 0.1  # part of a turn: gyroscopes that are off by more have a wrong scale
-#: what the parameters say of units where there are none
+_STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertical is reported to point up
+_SCALE = 0.1  # share of a turn by which gyroscopes may be off; more is reported as a wrong scale
+#: units where no parameters are given
 _UNITS = {'imu.acceleration_unit': 'm/s^2', 'imu.rate_unit': 'rad/s'}
 
 
 def check_recording(recording: Recording, values: Mapping = MappingProxyType({})) -> list[Finding]:
-    """The findings on `recording`: for each stream, then for both together. Nothing is changed.
+    """The findings on `recording`: for each stream, then for IMU and fixes together. The recording is not changed.
 
-    values: parameters, where there are some: what they say already, such as a factor of the speed, is not said again.
-    What a recording shows of the mounting, the clocks, the antenna and the receiver's scatter, `configuration.check`
-    compares with them.
+    values: parameters, if there are any: what they already correct, such as a factor of the speed, is not reported.
+    `configuration.check` compares the mounting, the clocks, the lever arm and the receiver's scatter with them.
     """
     imu, fixes, seen = recording.imu, recording.gnss, usable(recording)
     findings = [*_check_stamps('imu', imu), *_check_values(imu)]
@@ -74,8 +73,8 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
 
 
 def check_units(imu: ImuSamples, fixes: Fixes | None, values: Mapping, still: np.ndarray) -> list[Finding]:
-    """Units, scales and signs of usable samples, by gravity and by the turns in the course of usable fixes. still:
-    (n,) bool, at rest. Of the last minutes of a live filter, too."""
+    """Check units, scales and signs of usable samples, by gravity and by the turns in the course of usable fixes. Also
+    used for the last minutes of a live filter. still: (n,) bool, at rest."""
     declared = [values.get(name, unit) for name, unit in _UNITS.items()]
     expected = float(gravity(fixes.latitude[0], fixes.height[0])) if fixes is not None else STANDARD_GRAVITY
     units = find_units(as_delivered(imu, *declared), fixes, expected)
@@ -163,7 +162,7 @@ def _check_latency(topic, samples):
 
 
 def _check_values(imu: ImuSamples):
-    """Samples that are no numbers, and sensors that stand still in the electrical sense."""
+    """Findings on samples that are not finite, and on sensors whose values are constant."""
     both = np.hstack([imu.specific_force, imu.angular_rate])
     broken = ~np.isfinite(both).all(axis=1)
     if broken.any():
@@ -196,12 +195,12 @@ def _check_values(imu: ImuSamples):
 
 
 def _check_fixes_present(fixes: Fixes, declared: float):
-    """Fixes that are none, and sigmas that are not there and not `declared`, m, either."""
+    """Findings on fixes without a position, and on missing sigmas that are not `declared`, m, either."""
     without = fixes.status < 0
     null = ~without & (fixes.latitude == 0) & (fixes.longitude == 0)
     broken = ~without & ~null & ~is_fix(fixes)
     for mask, text in ((without, 'without a fix (status -1)'),
-                       (broken, 'with a position that is no number or no place'),
+                       (broken, 'with a position that is not finite or impossible'),
                        (null, 'at latitude 0, longitude 0, where receivers without a fix are')):
         if mask.any():
             count = int(mask.sum())
@@ -238,7 +237,7 @@ def _check_gravity(imu, still, expected, units: Units, declared, values):
         text += ': a large bias or scale error' if doubtful else ''
         yield Finding(WARNING if doubtful else INFO, 'imu', text, seen)
     elif magnitude < 0.2 * expected:
-        severity = INFO if values.get('mechanization') == 'planar' else ERROR  # it works without
+        severity = INFO if values.get('mechanization') == 'planar' else ERROR  # planar needs no gravity
         yield Finding(severity, 'imu', f'{text}: gravity seems to be removed from it, or the unit is wrong', seen)
     else:
         yield Finding(ERROR, 'imu', f'{text}: unit or scale is wrong', seen)
@@ -270,7 +269,7 @@ def _check_frozen(fixes, imu, still):
     moved = np.diff(np.concatenate([[0], np.cumsum(moving)])[edges], axis=1)[:, 0]
     step = np.linalg.norm(np.diff(positions(fixes), axis=0), axis=1)
     pace = np.median(step[step > 0]) if (step > 0).any() else 0.0
-    after = np.append(step, 0.0)[np.minimum(ends, len(step))]  # a leap to where the vehicle went meanwhile
+    after = np.append(step, 0.0)[np.minimum(ends, len(step))]  # step to where the vehicle is by then
     run = (ends - begins >= 2) & (moved > 0.5 * (ends - begins)) & (after > max(0.5 * pace, 0.05))
     if run.any():
         longest = int(np.argmax(np.where(run, ends - begins, 0)))
@@ -281,8 +280,8 @@ def _check_frozen(fixes, imu, still):
 
 
 def _check_jumps(fixes, weighed_down):
-    """Steps that no land vehicle makes, beyond five sigma of the receiver. weighed_down: whether the filter gives such
-    fixes less weight (gnss.robust_sigma)."""
+    """Findings on steps that no land vehicle makes, beyond five sigma of the receiver. weighed_down: whether the filter
+    gives such fixes less weight (gnss.robust_sigma)."""
     stated = sigmas(fixes, UNSTATED_SIGMA)
     time = (fixes.stamp - fixes.stamp[0]) * 1e-9
     interval = np.diff(time)

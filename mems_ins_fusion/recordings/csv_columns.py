@@ -1,4 +1,4 @@
-"""Columns of a CSV log: their usual names and units, and which of a table's are meant."""
+"""Columns of a CSV log: their usual names and units, and the search for them in a table."""
 from __future__ import annotations
 
 import re
@@ -131,6 +131,6 @@ def values_of(table: Table, columns) -> np.ndarray:
 
 
 def summary(table: Table, found: dict[str, Column], count: int, units) -> str:
-    """What was taken for what, for the user. found: by what it was taken for."""
+    """Which column is used for what, in words. found: columns by quantity."""
     columns = ', '.join(f'{wanted}={found[wanted].name}' for wanted in sorted(found, key=lambda name: name != 'time'))
     return f'{table.path}: {count} rows; {columns}; in {", ".join(units)}'

@@ -70,7 +70,7 @@ def axes_rotation(text: str) -> np.ndarray:
 def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward left up', time_unit=None,
              acceleration_unit=None, gyro_unit=None, *, increments: bool = False, rows: tuple[str, str] | None = None,
              gyro=None, gravity=None) -> tuple[ImuSamples, Temperatures | None, str]:
-    """Samples turned to forward-left-up, temperatures where there is such a column, and what was taken for what.
+    """Samples turned to forward-left-up, temperatures if there is such a column, and which column was used for what.
 
     columns: those whose names are not usual, by the keys of IMU_COLUMNS, `NAME [unit]` states a unit, `A|B` is the
     first that is there. Units that are None are those stated, else those in the names of the first columns, else m/s^2
@@ -83,7 +83,7 @@ def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward l
     rotation, columns = axes_rotation(axes), columns or {}
     table = _selected_rows(read_table(path), rows)
     sensors = _AXES['a'] if gyro else (*_AXES['a'], *_AXES['w'])
-    # of a file with one sensor alone the axes need no further name
+    # in a file with a single sensor, columns called x, y, z are its axes
     found = _require(table, sensors, IMU_COLUMNS, columns, {f'a{axis}': (axis,) for axis in 'xyz'} if gyro else {})
     stamp, time_unit = _times(table, columns, time_unit, _LONGEST_IMU_INTERVAL, found)
     acceleration_unit = acceleration_unit or found['ax'].unit_among(ACCELERATION)
@@ -115,7 +115,7 @@ def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward l
     return imu, temperature, summary(table, found, len(stamp), units)
 
 
-#: what the columns of the three axes of a sensor are called here: accelerometer, gyroscope, magnetometer
+#: keys of the columns of the three axes of a sensor: accelerometer (a), gyroscope (w), magnetometer (m)
 _AXES = {sensor: tuple(f'{sensor}{axis}' for axis in 'xyz') for sensor in 'awm'}
 
 
@@ -153,7 +153,7 @@ class _SensorFile:
 
 def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle_unit=None,
               sigma: float = 2.5, *, rows: tuple[str, str] | None = None) -> tuple[Fixes, str]:
-    """Fixes, and what was taken for what.
+    """Fixes, and which column was used for what.
 
     path: CSV, or NMEA. columns, units, rows: as for `read_imu`, with the keys of GNSS_COLUMNS; angles are in degrees
     without a unit, or in 1e-7 deg where they are beyond 360.
@@ -246,7 +246,8 @@ def _statuses(table: Table, name: str) -> np.ndarray:
 
 def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None, *,
                   rows: tuple[str, str] | None = None) -> tuple[Velocities, str] | None:
-    """The receiver's velocities in the file of the fixes, and what was taken for what; None without such columns.
+    """The receiver's velocities in the file of the fixes, and which column was used for what; None without such
+    columns.
 
     columns: as for `read_gnss`. In the unit in brackets, else m/s. Without a column `down` the vertical velocity is
     NaN; without one for the standard deviation the covariance is NaN. Raises RecordingError.
@@ -268,8 +269,8 @@ def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None, *
 
 
 def read_speed(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Speeds | Twists, str]:
-    """Speeds of the rear axle, forward positive, and what was taken for what; with a turn rate, left positive, they are
-    an odometry.
+    """Speeds of the rear axle, forward positive, and which column was used for what. With a turn rate, left positive,
+    the result is an odometry.
 
     columns: those whose names are not usual, by the keys of SPEED_COLUMNS. In the units in brackets, else m/s and
     rad/s; without a column `sigma` the variance is NaN. Raises RecordingError.
@@ -294,10 +295,10 @@ def read_speed(path, columns: dict[str, str] | None = None, time_unit=None) -> t
 
 
 def read_pressure(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Pressures, str]:
-    """Pressures of the air, Pa, and what was taken for what.
+    """Air pressures, Pa, and which column was used for what.
 
-    columns: those whose names are not usual, by the keys of PRESSURE_COLUMNS. In the unit in brackets, else in the one
-    in which they are pressures of the air. Raises RecordingError.
+    columns: those whose names are not usual, by the keys of PRESSURE_COLUMNS. The unit is that in brackets, else the
+    one in which the values are possible air pressures. Raises RecordingError.
     """
     table, columns = read_table(path), columns or {}
     found = _require(table, ('pressure',), PRESSURE_COLUMNS, columns)
@@ -306,7 +307,7 @@ def read_pressure(path, columns: dict[str, str] | None = None, time_unit=None) -
     samples = Pressures(stamp, np.maximum.accumulate(stamp), pressure, np.full(len(stamp), np.nan))
     unit = found['pressure'].unit_among(PRESSURES, _unit_of_factor(PRESSURES, pressure_factor(samples)))
     if not unit:
-        raise RecordingError(f"{path}: column '{found['pressure'].name}' is no pressure of the air in "
+        raise RecordingError(f"{path}: column '{found['pressure'].name}' is not an air pressure in any of "
                              f"{', '.join(PRESSURES)}")
     return (replace(samples, pressure=PRESSURES[unit] * pressure),
             summary(table, found, len(stamp), (time_unit, unit)))
@@ -319,10 +320,10 @@ def _unit_of_factor(units: dict[str, float], factor: float | None) -> str:
 
 def read_magnetometer(path, columns: dict[str, str] | None = None, axes: str = 'forward left up', time_unit=None
                       ) -> tuple[MagneticFields, str]:
-    """Magnetic fields turned to forward-left-up, T, and what was taken for what.
+    """Magnetic fields turned to forward-left-up, T, and which column was used for what.
 
-    columns: those whose names are not usual, by the keys of MAGNETOMETER_COLUMNS. axes: as for `read_imu`. In the unit
-    in brackets, else in the one in which they are fields of the earth. Raises RecordingError.
+    columns: those whose names are not usual, by the keys of MAGNETOMETER_COLUMNS. axes: as for `read_imu`. The unit is
+    that in brackets, else the one in which the values are possible fields of the earth. Raises RecordingError.
     """
     rotation, table, columns = axes_rotation(axes), read_table(path), columns or {}
     found = _require(table, _AXES['m'], MAGNETOMETER_COLUMNS, columns, {f'm{axis}': (axis,) for axis in 'xyz'})
@@ -331,7 +332,7 @@ def read_magnetometer(path, columns: dict[str, str] | None = None, axes: str = '
     samples = MagneticFields(stamp, np.maximum.accumulate(stamp), field, np.full(len(stamp), np.nan))
     unit = found['mx'].unit_among(FIELDS, _unit_of_factor(FIELDS, magnetic_factor(samples)))
     if not unit:
-        raise RecordingError(f"{path}: columns '{found['mx'].name}' .. are no magnetic field of the earth in "
+        raise RecordingError(f"{path}: columns '{found['mx'].name}' .. are not the earth's magnetic field in any of "
                              f"{', '.join(FIELDS)}")
     return replace(samples, field=FIELDS[unit] * field), summary(table, found, len(stamp), (time_unit, unit))
 
@@ -395,7 +396,7 @@ def _times(table: Table, columns: dict[str, str], unit, longest: float, found: d
 
 
 def _date(row) -> str:
-    """ISO 8601 of year, month, day, hour, minute, second; what is none is left to who reads it."""
+    """ISO 8601 of year, month, day, hour, minute, second; an invalid date is found when the text is read."""
     try:
         year, month, day, hour, minute, second = (float(cell) for cell in row)
         return f'{year:04.0f}-{month:02.0f}-{day:02.0f}T{hour:02.0f}:{minute:02.0f}:{second:09.6f}'

@@ -95,8 +95,8 @@ def _triples(numbers: dict[str, np.ndarray]):
     the rest what is near zero may be gyroscopes."""
     names = list(numbers)
     triples = [tuple(names[i:i + 3]) for i in range(len(names) - 2)]
-    # one axis of a sensor beside two of another that are near zero has the same size: who is called x, y, z or 1, 2, 3,
-    # or stands third by third, goes first
+    # one axis of a sensor together with two of another that are near zero has the same size as the sensor itself:
+    # columns called x, y, z or 1, 2, 3, or whose number is a multiple of three, come first
     triples.sort(key=lambda t: (not re.fullmatch('xyz|123|012', ''.join(n[-1:] for n in t).lower()),
                                 names.index(t[0]) % 3))
     size = {t: np.linalg.norm([numbers[n] for n in t], axis=0) for t in triples}

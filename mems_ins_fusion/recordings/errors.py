@@ -1,4 +1,4 @@
-"""What can be wrong with a recording."""
+"""Exceptions and warnings for recordings."""
 from __future__ import annotations
 
 import warnings
@@ -28,7 +28,7 @@ def collected_warnings() -> Iterator[list[str]]:
 
 @contextmanager
 def needs_rosbags(what: str):
-    """For imports of rosbags, or of what it brings along: RecordingError where `what` is not possible without."""
+    """Context for imports of rosbags or its dependencies: raises RecordingError where `what` needs them."""
     try:
         yield
     except ImportError:

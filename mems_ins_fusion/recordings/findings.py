@@ -4,7 +4,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 INFO, WARNING, ERROR = 'info', 'warning', 'error'
-#: sigmas by which a number has to differ before it is told that it does: one in 16 000 does so by chance
+#: standard deviations by which a number has to differ for a finding: by chance one in 16 000 does
 SURE = 4.0
 
 
@@ -12,8 +12,8 @@ SURE = 4.0
 class Finding:
     """One remark. severity: info, warning or error (the recording gives no sensible result as it is).
 
-    topic: imu, gnss, temperature, speed, velocity or heading, or imu/gnss for what concerns both.
-    values: the numbers in the message, SI. settings: names of the parameters that are to be set otherwise.
+    topic: imu, gnss, temperature, speed, velocity or heading, or imu/gnss if it concerns both. values: the numbers in
+    the message, SI. settings: names of the parameters that should have other values.
     """
 
     severity: str

@@ -1,4 +1,4 @@
-"""GPS time: weeks since 6 January 1980, seconds of the week, and what it is ahead of UTC."""
+"""GPS time: weeks since 6 January 1980, seconds of the week, and its difference to UTC."""
 from __future__ import annotations
 
 from datetime import datetime, timedelta

@@ -1,4 +1,4 @@
-"""How the files of well-known loggers are to be read: presets of the options of `import_csv`.
+"""Presets of the options of `import_csv` for the files of well-known loggers.
 
 A preset is a dictionary of these options, by the names they have in `csv_import` and on the command line (`imu_columns`
 is `--imu-columns`). What a user gives counts more. Sources: ArduPilot's AP_Logger and `mavlogdump.py --format csv`;
@@ -18,7 +18,7 @@ _FRD = 'forward right down'
 
 @dataclass(frozen=True)
 class LogFormat:
-    """imu, gnss: options for these files. signs: columns that together tell the format, of one of its files.
+    """imu, gnss: options for these files. signs: sets of columns of a file by which the format is recognized.
     files: by option, the names that its files have in the folder of an export, the best first."""
 
     about: str
@@ -96,9 +96,9 @@ def files_in(folder: Path, preset: str | None) -> tuple[str, dict[str, Path]]:
     formats = {preset: FORMATS[preset]} if preset else FORMATS
     found = {name: {option: next((folder / file for file in files if (folder / file).is_file()), None)
                     for option, files in known.files.items()} for name, known in formats.items()}
-    # phyphox and Sensor Logger share names: the columns tell; else the more files a format has there, the better
-    alike = {told for paths in found.values() if paths.get('imu')
-             and (told := recognised(read_table(paths['imu']).names)) in found}
+    # phyphox and Sensor Logger use the same file names: decide by the columns, else by the number of files found
+    alike = {by_columns for paths in found.values() if paths.get('imu')
+             and (by_columns := recognised(read_table(paths['imu']).names)) in found}
     name = max(alike or found, key=lambda name: sum(path is not None for path in found[name].values()))
     paths = {option: path for option, path in found[name].items() if path is not None}
     if paths.get('imu') != folder / 'Accelerometer.csv':

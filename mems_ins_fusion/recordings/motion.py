@@ -1,6 +1,6 @@
-"""What a whole recording shows of the vehicle's motion without any filter: standstills, the vertical, turns.
+"""The vehicle's motion in a whole recording, found without a filter: standstills, the vertical, turns.
 
-Works in the unit the sensors deliver, so that it can tell a wrong one.
+Works with the units that the sensors deliver, so that wrong units can be found.
 """
 from __future__ import annotations
 
@@ -13,32 +13,33 @@ from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
-#: part of gravity, largest spread of the specific force at rest: that of a running engine is smaller
+#: largest spread of the specific force at rest, as a share of gravity: a running engine causes less
 QUIET = 0.03
 #: m/s, largest speed that counts as rest
 CREEP = 0.15
 #: m, standard deviation of a fix whose message states none: that of a receiver without corrections
 UNSTATED_SIGMA = 3.0
-#: rad/s, smallest turn rate in motion: more than a gyroscope's bias changes in a drive, less than that of a robot that
-#: turns on the spot
+#: rad/s, smallest turn rate that counts as a turn: more than the bias of a gyroscope changes in a drive, less than a
+#: robot's turn on the spot
 TURNS = 0.03
-#: m/s, smallest speed with a course: robots drive at 0.4; the noise of the receiver mostly asks for more
+#: m/s, smallest speed for which a course is computed: robots drive at 0.4; the noise of the receiver usually needs more
 SLOWEST_COURSE = 0.2
-#: m, smallest radius of a bend with a course: in tighter ones a robot turns on the spot, and its antenna moves sideways
+#: m, smallest radius of a bend for which a course is computed: in tighter bends a robot turns on the spot, and its
+#: antenna moves sideways
 TIGHTEST_COURSE = 3.0
-#: sigmas of a fix, shortest displacement with a direction
+#: shortest displacement for which a course is computed, in standard deviations of a fix
 _SHORTEST_COURSE = 5.0
-#: rad, scatter of the course about the heading that does not come from the receiver
+#: rad, scatter of the course about the heading that is not caused by the receiver
 _SLIP = 0.01
-#: s, largest time offset of the fixes that is searched
+#: s, largest time offset of the fixes that is searched for
 _LARGEST_LAG = 2.0
-#: of Gauss-Newton, after the search
+#: number of Gauss-Newton steps after the search
 _STEPS = 4
-#: of the course, fewest from which a scale is estimated
+#: smallest number of changes of the course from which a scale is estimated
 _FEWEST_CHANGES = 12
-#: part of the variance of the course that turns must explain to say anything of the gyroscopes
+#: share of the variance of the course that the turns of the gyroscopes must explain for a finding on the gyroscopes
 _EXPLAINED = 0.3
-#: sigmas that the scale must differ from 0 by for that
+#: standard deviations by which the scale must differ from 0 for a finding on the gyroscopes
 _CLEAR = 5.0
 
 
@@ -82,15 +83,15 @@ def middle_sigma(fixes: Fixes) -> float:
 
 
 def find_standstill(imu: ImuSamples, fixes: Fixes | None = None) -> np.ndarray:
-    """(n,) which samples are taken at rest: quiet accelerometers for two seconds and more, and fixes that stay.
+    """(n,) which samples are at rest: accelerometers quiet for two seconds or more, and fixes that do not move.
 
-    Judged second by second. Without fixes, quiet accelerometers alone decide.
+    The test is made second by second. Without fixes, only the accelerometers are used.
 
-    Who asks for a standstill elsewhere knows other things, and is harmed by another error. Here nothing is known yet of
-    the sensors, not even their unit. `filter.start.at_rest` has the parameters' thresholds and wants the means of one
-    standstill, as biases: a slow start must not get in. `filter.trust.standstill` judges each sample while the filter
-    runs, which tells it what certainly is motion, and learns from that. `characterization.stationary` looks for hours
-    of a sensor that nobody touches, by what is usual in them, and leaves out single knocks.
+    There are three other detectors of standstills, with other information and other costs of an error. Here nothing is
+    known of the sensors, not even their unit. `filter.start.at_rest` has thresholds from the parameters and computes
+    biases from one standstill, which must not contain slow motion. `filter.trust.standstill` tests each sample while
+    the filter runs, and learns from the filter when the vehicle certainly moves. `characterization.stationary` looks
+    for hours of an untouched sensor, relative to the usual scatter in the recording, and leaves out single knocks.
     """
     size, count = _seconds(imu)
     if not count:
@@ -161,8 +162,8 @@ def scatter_at_rest(fixes: Fixes, imu: ImuSamples, still: np.ndarray) -> float |
 
 
 def scatter_of_track(track: np.ndarray) -> float:
-    """Standard deviation per axis of white noise of fixes, m, at most: from the second differences of `track` (n, 2) m,
-    in which a steady motion does not show. The vehicle's own acceleration is in it where fixes are seldom."""
+    """Upper limit of the standard deviation per axis of the white noise of fixes, m, from the second differences of
+    `track` (n, 2) m, which do not contain motion at constant velocity. If fixes are rare, it contains accelerations."""
     return max(robust_sigma(axis) for axis in np.diff(track, 2, axis=0).T) / np.sqrt(6.0)
 
 
@@ -176,9 +177,9 @@ def up_axis(imu: ImuSamples, still: np.ndarray) -> tuple[np.ndarray, float]:
 
 @dataclass(frozen=True)
 class Steering:
-    """What the turns of gyroscopes and fixes say about each other. scale: course turned per angle that the gyroscopes
-    turned, with its standard deviation. explained: part of the course's variance, 0 to 1. intervals: course changes
-    compared. diluted: part of the scale that may be missing, as noise of the gyroscopes makes it too small.
+    """Comparison of the turns by gyroscopes and by fixes. scale: change of the course over the angle by the gyroscopes,
+    with its standard deviation. explained: share of the variance of the course, 0 to 1. intervals: number of course
+    changes compared. diluted: share by which the noise of the gyroscopes may have made the scale too small.
     """
 
     scale: float
@@ -189,27 +190,26 @@ class Steering:
 
     @property
     def turned(self) -> tuple[float, float]:
-        """How many times the angle of the course the gyroscopes turn through, without sign, and its standard
-        deviation."""
+        """Magnitude of the angle by the gyroscopes over the change of the course, and its standard deviation."""
         turned = 1.0 / abs(self.scale)
         return turned, turned * float(np.hypot(self.scale_sigma * turned, self.diluted))
 
     @property
     def tells(self) -> bool:
-        """Whether there are turns that say something of the gyroscopes."""
+        """Whether the turns suffice for a finding on the gyroscopes."""
         return self.explained >= _EXPLAINED and abs(self.scale) >= _CLEAR * self.scale_sigma
 
 
 def compare_steering(imu: ImuSamples, fixes: Fixes, up: np.ndarray) -> Steering | None:
-    """Fit the course between fixes with the heading that the gyroscopes turn through; None where nothing moves.
+    """Fit the course between fixes with the integrated heading of the gyroscopes; None where nothing moves.
 
     Changes of the mean heading from one interval to the next are compared, so that a gyroscope's slow drift is a
     constant. To first order, with heading psi, its rate w, speed v, time offset T and arm L, the course of a chord is
     the mean over its interval of psi(t - T) + L w / v. Weighted least squares; T by a search, then by Gauss-Newton.
-    T and L are in it for the scale's sake: `configuration.offset` knows them better.
+    T and L are estimated only because they influence the scale; `configuration.offset` estimates them better.
 
-    Noise of the gyroscopes - samples that alias what shakes the vehicle - is noise of the regressor, which makes the
-    scale too small: by the part of what it explains that the residual has beyond the noise of the fixes, at most.
+    Noise of the gyroscopes (aliased vibration) is noise of the regressor and makes the scale too small. An upper limit
+    of this error, relative to the explained variance, is the residual variance beyond the noise of the fixes.
     (W. A. Fuller, "Measurement Error Models", section 1.1.)
     """
     course = _course_changes(fixes)
@@ -228,7 +228,7 @@ def compare_steering(imu: ImuSamples, fixes: Fixes, up: np.ndarray) -> Steering 
                                 rate_before - rate_after])
 
     chosen = np.ones(len(change), bool)
-    for _ in range(2):  # again without what does not fit: reversing, a jump of the receiver
+    for _ in range(2):  # the second time without outliers: reversing, a jump of the receiver
         lags = np.arange(-_LARGEST_LAG, _LARGEST_LAG + 0.01, 0.2)
         costs = [_solve(design(lag)[chosen, :3], change[chosen], weight[chosen])[1] for lag in lags]
         lag = float(lags[np.argmin(costs)])
@@ -262,7 +262,7 @@ def _solve(design, values, weight):
 
 
 def _course_changes(fixes: Fixes):
-    """Of pairs of successive intervals: stamps (begin, middle, end), speeds, change of course, rad, and its weight."""
+    """For pairs of successive intervals: stamps (begin, middle, end), speeds, change of course, rad, and its weight."""
     fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
     if len(fixes) < 2:
         return None
@@ -290,7 +290,7 @@ def _course_changes(fixes: Fixes):
 
 
 class _Heading:
-    """The heading that the gyroscopes turn through, clockwise, as a function of seconds after the first sample."""
+    """The integrated heading of the gyroscopes, clockwise, as a function of seconds after the first sample."""
 
     def __init__(self, imu: ImuSamples, up):
         self.time, _, rate = advancing(imu, int(imu.stamp[0]))

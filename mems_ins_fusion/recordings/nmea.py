@@ -15,7 +15,7 @@ _DAY = 86_400 * SECOND
 
 class NmeaFixes(NamedTuple):
     """stamp: (n,) ns, UTC. latitude, longitude: (n,) rad. height: (n,) m above the ellipsoid. quality: (n,) of GGA: 1
-    GPS, 2 differential, 4 RTK fixed, 5 RTK float. hdop: (n,), NaN where it is not told."""
+    GPS, 2 differential, 4 RTK fixed, 5 RTK float. hdop: (n,), NaN where unknown."""
 
     stamp: np.ndarray
     latitude: np.ndarray
@@ -26,7 +26,8 @@ class NmeaFixes(NamedTuple):
 
 
 def read_nmea(path) -> NmeaFixes:
-    """Positions of GGA sentences (of RMC without any), dated by RMC or ZDA. What has a wrong checksum is left out.
+    """Positions of GGA sentences (without any, of RMC), dated by RMC or ZDA. Sentences with a wrong checksum are
+    skipped.
 
     Raises RecordingError with one line for the user.
     """

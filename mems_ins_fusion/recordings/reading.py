@@ -1,4 +1,4 @@
-"""Reading of a recording into arrays, and what to tell the user where that does not work."""
+"""Reading of a recording into arrays, with messages to the user where that is not possible."""
 from __future__ import annotations
 
 import math
@@ -29,13 +29,13 @@ from mems_ins_fusion.samples import (
     Temperatures,
 )
 
-#: what fixes may come in
+#: message types of fixes
 FIX_TYPES = tuple(MEASUREMENTS[Kind.POSITION].messages)
-#: what a reference may be
+#: message types of a reference
 REFERENCE_TYPES = (NAV_SAT_FIX, ODOMETRY, POSE_STAMPED)
 _LATEST = 2**63  # ns
 
-#: the fields worth keeping, by message type
+#: fields that are kept, by message type
 _KEPT = {
     IMU: ('orientation', 'orientation_covariance', 'angular_velocity', 'linear_acceleration'),
     NAV_SAT_FIX: ('status.status', 'latitude', 'longitude', 'altitude', 'position_covariance',
@@ -47,24 +47,26 @@ _KEPT = {
 for _measurement in TYPES.values():
     for _message, _fields in _measurement.messages.items():
         _KEPT[_message] = tuple(dict.fromkeys((*_KEPT.get(_message, ()), *_fields)))
-#: what a recording is looked at for
+#: message types that are read
 READABLE = frozenset(_KEPT)
-#: of a 6 x 6 covariance: elements of velocity and turn rate, or of the yaw; of the orientation's: whether there is one
+#: elements of covariances that are kept: of the orientation the first, which marks a missing orientation, and the yaw;
+#: of a twist the velocity and the turn rate about the vertical; of a pose the yaw
 _COLUMNS = {'orientation_covariance': [0, 8], 'twist.covariance': [0, 1, 2, 6, 7, 8, 12, 13, 14, 35],
             'pose.covariance': [35]}
 
 
 @dataclass(frozen=True)
 class Memory:
-    """What a tool may take, and takes. limit: GB, as `memory_limit`. base: GB, without a recording. each: bytes for a
-    message read, at the tool's peak."""
+    """Memory of a tool. limit: GB, as `memory_limit`. base: GB, without a recording. each: bytes for each message, at
+    the tool's peak."""
 
     limit: float
     base: float
     each: float
 
     def check(self, path: str, messages: int, part: float = 1.0) -> None:
-        """RecordingError where `messages`, the first `part` of those in `path`, take more than the limit already."""
+        """Raise RecordingError if all messages in `path`, of which `messages` are the first `part`, would take more
+        than the limit."""
         if self.base + self.each * messages * 1e-9 > self.limit:
             whole = messages / max(part, 1e-6)
             raise RecordingError(f'{path}: about {whole:.2g} messages would take about '
@@ -78,14 +80,14 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
 
     path: rosbag2 folder, .mcap, .db3 or ROS 1 .bag. Topics that are None or empty are not read.
     reference_topic: NavSatFix, or Odometry or PoseStamped with a pose in a local east-north-up frame, whose origin is
-    `datum`: latitude, longitude (rad), height (m). Without it the first fix of `gnss_topic` is taken, with a warning.
-    progress: called with the part of the recording that is read, 0 to 1. memory: what the tool may take for it; a
-    longer recording is refused before it is read to its end. inputs: measurements besides the fixes; aiding_topics:
-    of these, by the name of their parameter (`speed_topic`), see `filter.measurements`; no mounting is applied. Of
-    several IMUs one is enough, with a warning of those that are not there.
+    `datum`: latitude, longitude (rad), height (m). Without it the first fix of `gnss_topic` is used, with a warning.
+    progress: called with the part of the recording that is read, 0 to 1. memory: limit of the tool; a longer recording
+    is refused before it is read to its end. inputs: measurements besides the fixes. aiding_topics: topics of these, by
+    the name of their parameter (`speed_topic`), see `filter.measurements`; no mounting is applied. If some of several
+    IMUs are missing, the others are read, with a warning.
 
-    The samples are in the order of arrival (log time), all that were recorded, also those with NaN. Of a reference,
-    messages without a fix or with NaN are left out, and it is in the order of its stamps.
+    Samples are in the order of arrival (log time) and complete, including those with NaN. A reference is in the order
+    of its stamps, without messages that have no fix or contain NaN.
     Raises RecordingError with one line for the user. Warns RecordingWarning where only a part was readable.
     """
     imu_topics = {imu_topic, *(aiding_topics.get(m.topic) for m in inputs if isinstance(m, Inertial))} - {None, ''}
@@ -114,7 +116,7 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
 
 
 def _absent(bag: Bag, imu_topics: set[str]) -> set[str]:
-    """Those of the topics of several IMUs that the recording does not have, while it has others; with a warning."""
+    """The topics in `imu_topics` that the recording does not have, if it has at least one of them; with a warning."""
     counts = bag.counts()
     absent = {topic for topic in imu_topics if bag.topics.get(topic) != IMU or not counts[topic]}
     if absent == imu_topics:
@@ -126,13 +128,13 @@ def _absent(bag: Bag, imu_topics: set[str]) -> set[str]:
 
 
 def _name(path: Path) -> str:
-    """What to call the recording: its file or folder, or what that stands in if it is called just `bag`."""
+    """Name of the recording: that of its file or folder, or of the folder above if it is just `bag`."""
     path = path.absolute()
     return path.parent.name if path.stem in ('bag', 'rosbag2') and path.parent.name else path.stem
 
 
 def _topic_problem(bag: Bag, topic, types) -> str:
-    """What to tell a user who asked for `topic` as one of `types` and cannot have it."""
+    """Message for a user who asked for `topic` with one of `types`, which the recording does not have."""
     counts = bag.counts()
     if not counts.total():
         return f'{bag.path} holds no messages' + ''.join(f'; {line}' for line in bag.damage())
@@ -261,7 +263,7 @@ def _reference(array, msgtype, datum, gnss, topic) -> Reference:
 
 
 def _first_fix(gnss: Fixes | None, topic) -> tuple:
-    """The datum that local poses on `topic` get where none is given."""
+    """The datum for local poses on `topic` if none is given: the first fix."""
     valid = () if gnss is None else np.flatnonzero(is_fix(gnss))
     if not len(valid):
         raise RecordingError(f"reference topic '{topic}' holds local poses: give the datum (latitude, longitude and "

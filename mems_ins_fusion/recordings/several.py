@@ -1,4 +1,4 @@
-"""Several recordings of one vehicle: on one time axis, and not of two vehicles."""
+"""Several recordings of one vehicle: put on one time axis, and checked to be of the same vehicle."""
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
@@ -10,16 +10,16 @@ from ..filter.runs.usable import usable_samples
 from ..samples import Recording
 from .errors import RecordingError
 
-#: s, gap between two drives on the time axis of all: longer than any block of time that is judged as one
+#: s, gap between two drives on the common time axis: longer than any block of time in the statistics
 BETWEEN = 120.0
-#: largest ratio of the rates of IMUs that can be the same
+#: largest ratio of the rates of the IMUs in recordings of the same vehicle
 SAME_RATE = 1.25
-#: rad, largest angle between the directions of gravity in IMUs that can be mounted in the same way
+#: rad, largest angle between the directions of gravity in IMU axes in recordings with the same mounting
 SAME_UP = np.radians(30.0)
 
 
 def one_after_another(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings with names of their own and on one time axis, BETWEEN apart; the first one as it is."""
+    """The recordings with different names and on one time axis, BETWEEN apart; the first one is not changed."""
     placed: list[Recording] = []
     for recording in recordings:
         recording = replace(recording, name=free_name(recording.name, {other.name for other in placed}))
@@ -53,9 +53,9 @@ def later(recording: Recording, shift: int) -> Recording:
 
 
 def refuse_other_vehicles(recordings: Sequence[Recording]) -> None:
-    """RecordingError where a recording cannot be of the same vehicle and IMU as the first one, or is it once more.
+    """Raise RecordingError if a recording cannot be of the same vehicle and IMU as the first one, or is a duplicate.
 
-    What shows: how often the IMU measures, and which way it is mounted.
+    The criteria are the rate of the IMU and its mounting.
     """
     for i, recording in enumerate(recordings):
         for other in recordings[:i]:
@@ -65,9 +65,9 @@ def refuse_other_vehicles(recordings: Sequence[Recording]) -> None:
 
 
 def refuse_twice(recording, other) -> None:
-    """RecordingError where `recording` has the samples of `other`: what they show is not told twice as surely.
+    """Raise RecordingError if `recording` has samples of `other`: the same data twice are no more evidence than once.
 
-    Both have `name` and `imu`.
+    Both have the attributes `name` and `imu`.
     """
     _, a, b = np.intersect1d(recording.imu.stamp, other.imu.stamp, return_indices=True)
     same = (recording.imu.specific_force[a] == other.imu.specific_force[b]).all(axis=1).sum()

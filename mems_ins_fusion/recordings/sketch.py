@@ -1,7 +1,7 @@
-"""Which recording parameters were fitted to: a few hashes of its content that any part of it can be known by.
+"""Hashes of the content of a recording, by which the recordings that parameters were fitted to are recognized.
 
-The smallest hashes of a set are a sample of it that does not depend on its order, its file or its topics (A. Broder,
-"On the resemblance and containment of documents", 1997).
+The smallest hashes of a set are a sample of it that does not depend on order, file or topics, so that a part of a
+recording is recognized as well (A. Broder, "On the resemblance and containment of documents", 1997).
 """
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 
 from ..samples import Fixes, Recording
 
-#: hashes kept of a recording
+#: number of hashes kept of a recording
 KEPT = 8
-#: a fix is the same where its stamp, ms, and its position, 1e-7 deg (a centimetre), are
+#: two fixes are equal if their stamps, in ms, and their positions, in 1e-7 deg (a centimetre), are equal
 _PER_MS, _PER_DEGREE = 10**6, 1e7
 
 

@@ -19,11 +19,11 @@ _UNIT = re.compile(r'[\[(]\s*(.*?)\s*[\])]|_(s|ms|us|ns|m|deg|rad|g|mg|dps|rad_s
 #: ns: ROS stamps end in 2038
 LATEST = 2**31 * SECOND
 _DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d*)?)?\s*[Zz]?\s*')
-#: in any unit: times in ns end here (int64), and no sensor says more; such a number is damage
+#: largest number in a table, in any unit: the range of times in ns (int64). A larger one is damaged
 LARGEST = 9e18
-_LARGEST_FILE = 2 * 10**9  # bytes; a table takes some ten times its size in memory
+_LARGEST_FILE = 2 * 10**9  # bytes, largest file; a table takes some ten times its size in memory
 _COMMENT = '#%'
-_LISTED = 40  # names of columns in a message
+_LISTED = 40  # largest number of column names in a message
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Table:
     lines: list[int]
 
     def select(self, rows: np.ndarray) -> Table:
-        """The rows of which `rows`, (n,) bool, says so."""
+        """The rows for which `rows`, (n,) bool, is true."""
         kept = np.flatnonzero(rows).tolist()
         return Table(self.path, self.names, [tuple(column[i] for i in kept) for column in self.columns],
                      [self.lines[i] for i in kept])
@@ -71,7 +71,7 @@ class Table:
             return self._in_epoch(name, self._dates(name, cells), 'date'), 'date'
         unit = unit or unit_in_name(name, TIME_UNITS) or _guess_unit(self.numbers(name), longest)
         scale = TIME_UNITS[unit]
-        # what is too large is no time in any unit, and would take for ever as a whole number
+        # a number that is too large is not a time in any unit, and would take very long as an integer
         wrong = [not (_is_number(cell) and abs(float(cell)) < 1e19) for cell in cells]
         try:
             if True in wrong:
@@ -115,7 +115,7 @@ class Table:
         return next((there[alias] for alias in aliases if alias in there), None)
 
     def require(self, wanted: str, aliases) -> str:
-        """As `find`; RecordingError where no column is for `wanted`."""
+        """As `find`, but raises RecordingError if there is no column for `wanted`."""
         name = self.find(aliases)
         if name is None:
             raise RecordingError(f'{self.path} has no column that looks like {wanted}; {self.listing()}')
@@ -158,7 +158,7 @@ def read_text(path, encoding: str = 'utf-8-sig', errors: str = 'strict') -> str:
     """The contents of a text file. RecordingError where it cannot be read or is too large."""
     path = Path(path)
     try:
-        if path.exists() and not path.is_file():  # a pipe that nobody fills would be waited for, for ever
+        if path.exists() and not path.is_file():  # reading from a pipe could wait for ever
             raise RecordingError(f'{path} is not a file')
         size = path.stat().st_size
         if size > _LARGEST_FILE:

@@ -1,4 +1,4 @@
-"""Where sensors stand in the vehicle, as the static transforms of a recording say it (`/tf_static`)."""
+"""Places of sensors in the vehicle, from the static transforms in a recording (`/tf_static`)."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -11,11 +11,11 @@ from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.messages import deserialized
 
 TOPIC, TYPE = '/tf_static', 'tf2_msgs/msg/TFMessage'
-#: of the vehicle (REP 105)
+#: frame of the vehicle (REP 105)
 BASE = 'base_link'
-#: frames between a sensor and the vehicle; more, and the transforms go round in a circle
+#: largest number of frames between a sensor and the vehicle; with more, the transforms form a circle
 _LONGEST = 50
-#: types whose header names the frame of the world: the field with that of the sensor, '' where there is none
+#: message types whose header names the frame of the world: field with the frame of the sensor, '' if there is none
 _FRAME = {ODOMETRY: 'child_frame_id', POSE_STAMPED: '', POSE: ''}
 
 
@@ -25,14 +25,15 @@ def has_frame(kind: str) -> bool:
 
 
 def sensor_frame(message, kind: str) -> str:
-    """That of a message of a type that has one."""
+    """Frame of the sensor in a message of a type that has one (`has_frame`)."""
     return attrgetter(_FRAME.get(kind, 'header.frame_id'))(message).lstrip('/')
 
 
 def places(bag: Bag, topics: Mapping[str, str]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Of each topic whose frame leads to BASE: where it is, (3,) m, and the rotation (3, 3) from its axes, in BASE.
+    """For each topic whose frame is connected to BASE: position of the sensor, (3,) m, and the rotation (3, 3) from its
+    axes, in BASE.
 
-    bag: open. topics: name and message type; the frame is that of the first message. What is damaged is left out.
+    bag: open. topics: name and message type; the frame is that of the first message. Damaged messages are left out.
     """
     topics = {topic: kind for topic, kind in topics.items() if has_frame(kind)}
     if bag.topics.get(TOPIC) != TYPE:
@@ -54,7 +55,7 @@ def places(bag: Bag, topics: Mapping[str, str]) -> dict[str, tuple[np.ndarray, n
 
 
 def _link(one) -> tuple[str, np.ndarray, np.ndarray] | None:
-    """Parent, rotation (3, 3) and translation (3,) of a transform; None where it is none."""
+    """Parent, rotation (3, 3) and translation (3,) of a transform; None where it is not valid."""
     from scipy.spatial.transform import Rotation
 
     translation, quaternion = (np.array([getattr(part, axis) for axis in axes]) for part, axes in (
@@ -73,7 +74,7 @@ def _in_base(links: Mapping[str, tuple], frame: str) -> tuple[np.ndarray, np.nda
 
 
 def _to_root(links: Mapping[str, tuple], frame: str) -> tuple[str, np.ndarray, np.ndarray] | None:
-    """The last frame on the way up from `frame`, and rotation and place in it; None where the way has no end."""
+    """The root of the tree of frames that contains `frame`, and rotation and position in it; None for a circle."""
     rotation, place = np.eye(3), np.zeros(3)
     for _ in range(_LONGEST):
         if frame not in links:

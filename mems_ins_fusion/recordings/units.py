@@ -1,6 +1,6 @@
-"""The units of IMU messages: those of sensor_msgs/Imu, and those that drivers deliver all the same.
+"""The units of IMU messages: those of sensor_msgs/Imu, and others that drivers deliver in spite of it.
 
-Gravity tells the unit of the accelerometers, the course of the fixes that of the gyroscopes.
+The unit of the accelerometers is found by gravity, that of the gyroscopes by the course of the fixes.
 """
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from mems_ins_fusion.filter.measurements.inertial import ACCELERATION, RATE
 from mems_ins_fusion.recordings.motion import Steering, compare_steering, find_standstill, up_axis
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
-_TOLERANCE = 0.2  # part of gravity: more is no bias
-FASTEST_TURN = 4.0  # rad/s: of no land vehicle
+_TOLERANCE = 0.2  # share of gravity by which the specific force may differ by a bias; more is a wrong unit
+FASTEST_TURN = 4.0  # rad/s: no land vehicle turns faster
 
 
 def in_si(imu: ImuSamples, acceleration_unit: str, rate_unit: str) -> ImuSamples:
@@ -23,7 +23,7 @@ def in_si(imu: ImuSamples, acceleration_unit: str, rate_unit: str) -> ImuSamples
 
 
 def as_delivered(imu: ImuSamples, acceleration_unit: str, rate_unit: str) -> ImuSamples:
-    """`imu`, in m/s^2 and rad/s, in the units that it was delivered in: the contrary of `in_si`."""
+    """`imu`, in m/s^2 and rad/s, converted to the units in which it was delivered: inverse of `in_si`."""
     return _times(imu, 1.0 / ACCELERATION[acceleration_unit], 1.0 / RATE[rate_unit])
 
 
@@ -35,12 +35,12 @@ def _times(imu: ImuSamples, force: float, rate: float) -> ImuSamples:
 
 @dataclass(frozen=True)
 class Units:
-    """What tells the units of an IMU.
+    """The units of an IMU, and the evidence.
 
-    acceleration, rate: as `imu.acceleration_unit` and `imu.rate_unit`. gravity: whether it is in the accelerometers;
-    without it their unit is only taken to be m/s^2. magnitude: of their mean, in the unit delivered; at_rest: whether
-    that is at rest. steering: the course against the gyroscopes, in the unit delivered; None where no turn tells.
-    largest: of the rates.
+    acceleration, rate: as `imu.acceleration_unit` and `imu.rate_unit`. gravity: whether the specific force contains
+    gravity; if not, the unit is assumed to be m/s^2. magnitude: of the mean specific force, in the unit delivered;
+    at_rest: whether it is that at rest. steering: comparison of the gyroscopes, in the unit delivered, with the course;
+    None without a turn. largest: largest angular rate, in the unit delivered.
     """
 
     acceleration: str
@@ -53,7 +53,7 @@ class Units:
 
 
 def find_units(imu: ImuSamples, fixes: Fixes | None, gravity: float) -> Units:
-    """The units of `imu` as delivered. gravity: m/s^2, there."""
+    """The units of `imu` as delivered. gravity: m/s^2, at the place of the recording."""
     still = find_standstill(imu, fixes)
     up, magnitude = up_axis(imu, still)
     acceleration = next((unit for unit, scale in ACCELERATION.items()

@@ -31,7 +31,7 @@ STORAGES = ('mcap', 'sqlite3')
 
 @dataclass(frozen=True)
 class OdometrySamples:
-    """What nav_msgs/Odometry carries, in the axes of REP-103.
+    """The content of nav_msgs/Odometry messages, in the axes of REP-103.
 
     stamp, received: (n,) int64 ns. position: (n, 3) m east-north-up at the datum. orientation: (n, 4) quaternion
     x, y, z, w from base_link (forward-left-up) to east-north-up. velocity: (n, 3) m/s and angular_rate: (n, 3) rad/s

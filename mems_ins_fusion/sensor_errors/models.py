@@ -2,7 +2,8 @@
 
     x(t + dt) = A(dt) x(t) + w,   w ~ N(0, Q(dt)),   sensor error = c x,   x(0) ~ N(0, initial covariance)
 
-White noise of the sensor (angle and velocity random walk) is no part of them: it drives velocity and yaw directly.
+White noise of the sensor (angle and velocity random walk) is not part of the models: it drives velocity and yaw
+directly.
 """
 from __future__ import annotations
 
@@ -24,21 +25,22 @@ def per_axis(parameters: Mapping, name: str) -> list[float]:
 
 
 class Model:
-    """One sensor error model: a class with the methods of those below, and a line in MODELS.
+    """Base class of the sensor error models. A new model is a subclass with the methods of those below, and a line in
+    MODELS.
 
-    What the filter's compiled prediction needs of each state of a model stands here: the state decays by
-    exp(-decay dt) and is driven by walk dt + variance (1 - exp(-2 decay dt)); or, with an interval, it makes an
-    autoregressive step with coefficients and b0 for each interval.
+    The attributes are those that the filter's compiled prediction needs: a state decays by exp(-decay dt), and its
+    variance grows by walk dt + variance (1 - exp(-2 decay dt)); or, with an interval, it makes one autoregressive step
+    with coefficients and b0 in each interval.
     """
 
     order = 1
-    #: s; None: continuous in time
+    #: s, interval of the autoregressive steps; None: the model is continuous in time
     interval: float | None = None
     decay = walk = variance = b0 = 0.0
     coefficients: tuple[float, ...] = ()
-    #: whether it begins with the turn-on bias; else that is a constant beside it
+    #: whether the initial value of the state is the turn-on bias; else the turn-on bias is a separate constant
     holds_turn_on = False
-    #: its parameter, behind the sensor's name, that says how large it is
+    #: name of the parameter for the size of the error, without the sensor's name
     level = ''
 
     @classmethod
@@ -52,9 +54,11 @@ class Model:
         return self
 
     def with_tilt(self, sigma: float, time: float) -> tuple[Model, float]:
-        """This model with another error added, of standard deviation `sigma` and correlation time `time`, s; and what
-        of that error is not in it but is to be white noise beside it, density squared."""
-        return self, 10.0 * sigma**2  # it moves the velocity as far in ten seconds
+        """This model with an added Gauss-Markov error of standard deviation `sigma` and correlation time `time`, s.
+
+        Returns the model, and the part of the added error that is to be treated as white noise: its density squared.
+        """
+        return self, 10.0 * sigma**2  # changes the velocity by as much in ten seconds as a constant of size sigma
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ class GaussMarkov(Model):
 
     def with_tilt(self, sigma, time):
         total = math.hypot(self.sigma, sigma)
-        share = (sigma / total) ** 2  # of the two correlation times, by their part of the variance
+        share = (sigma / total) ** 2  # weights of the two correlation times: their shares of the variance
         return GaussMarkov(total, math.exp(share * math.log(time) + (1 - share) * math.log(self.tau))), 0.0
 
     def transition(self, dt: float) -> np.ndarray:
@@ -146,7 +150,8 @@ class Autoregressive(Model):
 
     @classmethod
     def from_parameters(cls, parameters: Mapping, sensor: str) -> list[Autoregressive]:
-        """ParameterError for a model that is not stable or has no clear order."""
+        """As `Model.from_parameters`. Raises ParameterError for a model that is not stable or whose order is unclear.
+        """
         name = f'{sensor}.autoregressive.coefficients'
         values = parameters[name]
         order = parameters[f'{sensor}.autoregressive.order'] or len(values)
@@ -181,7 +186,7 @@ class Autoregressive(Model):
         return np.roots([1.0, *self.coefficients])
 
     def transition(self, dt: float | None = None) -> np.ndarray:
-        """The companion matrix of one step; `dt` plays no part."""
+        """The companion matrix of one step; `dt` is not used."""
         companion = np.eye(self.order, k=-1)
         companion[0] = -np.asarray(self.coefficients)
         return companion
@@ -220,9 +225,10 @@ def simulate(model: Model, n: int, dt: float, rng: np.random.Generator) -> np.nd
 
 
 def gauss_markov_at(time: np.ndarray, tau: float, white: np.ndarray) -> np.ndarray:
-    """A first-order Gauss-Markov process (n, k) of correlation time `tau`, s, at `time` (n,), s, of any spacing.
+    """A first-order Gauss-Markov process (n, k) with the correlation time `tau`, s, at `time` (n,), s, of any spacing.
 
-    white: (n, k) white noise that drives it; the process begins with its first row and has its standard deviation.
+    white: (n, k) white noise that drives it. The process begins with the first row of `white`, and has the standard
+    deviation of `white`.
     """
     error = white.copy()
     for i, decay in enumerate(np.exp(-np.diff(time) / tau)):

@@ -1,4 +1,4 @@
-"""The exact motion of a simulated land vehicle, and what perfect sensors in it would deliver.
+"""The exact motion of a simulated land vehicle, and the samples of perfect sensors in it.
 
 Speed and course are piecewise quintic polynomials of time, so accelerations and angular rates are continuous and known
 exactly. Positions are their integrals in the local level frame `n`, by Gauss-Legendre quadrature to rounding.
@@ -19,29 +19,29 @@ from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.navigation.strapdown import EARTH_RATE
 from mems_ins_fusion.simulation.manoeuvres import CITY, Segment, plan
 
-#: ns, of the first sample: a date, so that stamps look as those of real recordings
+#: ns, stamp of the start: a present date, so that stamps look like those of real recordings
 START_STAMP = 1_700_000_000_000_000_000
 #: latitude, longitude (rad) and height (m) of the start
 ORIGIN = (0.8378, 0.2007, 480.0)
-#: s, of motion beyond the end, for fixes that describe a later time
+#: s of motion that is simulated beyond the end, for fixes that describe a later time
 MARGIN = 60.0
-#: samples computed at once
+#: number of samples computed at once
 _BLOCK = 100_000
 #: s, length of a quadrature cell: the ends of segments fall on the edges of cells
 _CELL = 0.02
-#: part of critical damping, of a car's body on its springs
+#: damping ratio of a car's body on its springs
 _DAMPING = 0.3
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 def stream(seed: int, purpose: str) -> np.random.Generator:
-    """Random numbers for one purpose alone: what else is simulated with `seed` does not change them."""
+    """Random number generator for one purpose: nothing else that is simulated with `seed` changes its numbers."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(purpose.encode())))
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Where the vehicle is and how it moves, at times (n,) s after the start.
+    """Position, velocity and attitude of the vehicle at times (n,) s after the start.
 
     position: (n, 3) m north-east-down along the ground from the start. latitude, longitude: (n,) rad. height: (n,) m.
     velocity: (n, 3) m/s north-east-down. roll, pitch, yaw: (n,) rad, body (forward-right-down) to north-east-down;

@@ -19,9 +19,9 @@ ROBOT_SPEED = 0.4
 MAX_JERK = 2.5
 #: m, smallest radius of a turn, at its tightest point
 MIN_RADIUS = 9.0
-#: of the quintic step: largest first derivative
+#: largest first derivative of the quintic step
 _PEAK_RATE = 15 / 8
-#: of the quintic step: largest second derivative
+#: largest second derivative of the quintic step
 _PEAK_CURVATURE = 10 / math.sqrt(3)
 #: s, segments end on multiples of this, where the quadrature has an edge
 _TIME_GRID = 0.1
@@ -93,7 +93,7 @@ def _stop(speed, rng):
 
 
 def _cruise(speed, rng):
-    """A long straight at one speed: what a detector of standstills takes for one."""
+    """A long straight at constant speed, which a standstill detector may take for a standstill."""
     return [_speed_change(speed, rng.uniform(10.0, 28.0), rng.uniform(0.8, 1.5)), _hold(rng.uniform(20, 60))]
 
 
@@ -168,7 +168,7 @@ def _turns(angle, speed):
     return [_speed_change(speed, corner, 2.0), _curve(corner, corner, angle, 2.4), _speed_change(corner, speed, 2.0)]
 
 
-#: what a driver can be asked for, in words, as segments at a speed of some m/s that begin and end at that speed
+#: manoeuvres that a driver can be asked for, in words, as segments for a given speed that begin and end at that speed
 ASKED = {
     'driving straight on': lambda speed: [],
     'a left turn at a crossing': lambda speed: _turns(-np.pi / 2, speed),

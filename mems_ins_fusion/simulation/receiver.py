@@ -1,4 +1,4 @@
-"""The GNSS receiver of a simulation: when it has fixes, and what is wrong with them."""
+"""The GNSS receiver of a simulation: the times of its fixes, and their errors."""
 from __future__ import annotations
 
 import math
@@ -10,7 +10,7 @@ import numpy as np
 from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.sensor_errors.models import gauss_markov_at
 
-_DROPOUT = (3.0, 40.0)  # s, between which the lengths of drop-outs are drawn
+_DROPOUT = (3.0, 40.0)  # s, range of the random lengths of drop-outs
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class GnssNoise:
         return time
 
     def received(self, time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Those of `time` (m,) s that fall in no drop-out."""
+        """The times among `time` (m,) s that are in no drop-out."""
         end = 0.0
         while self.dropouts and len(time) and end < time[-1]:
             start = end + rng.exponential(3600.0 / self.dropouts)
@@ -69,7 +69,7 @@ class GnssNoise:
         return time
 
     def distort(self, time: np.ndarray, position: np.ndarray, error: np.ndarray, stream) -> np.ndarray:
-        """The `error` (m, 3) m of true `position` (m, 3) m at `time` (m,) s with all that is more than white noise.
+        """The `error` (m, 3) m of true `position` (m, 3) m at `time` (m,) s, with all errors beyond white noise added.
 
         stream(purpose): random numbers for one purpose.
         """

@@ -1,6 +1,6 @@
-"""What surrounds a simulated drive: the road, the body on its springs, how the IMU is mounted, what shakes it.
+"""Conditions of a simulated drive: road, suspension of the body, mounting of the IMU, vibration.
 
-FLAT is a level road and a rigid vehicle. REALISTIC knows more than any filter: it is what filters are judged by.
+FLAT is a level road and a rigid vehicle. REALISTIC contains effects that no filter models, to evaluate filters.
 """
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from mems_ins_fusion.simulation.vibration import Vibration
 MANOEUVRES = {'city': CITY, 'mixed': MIXED, 'slow': SLOW}
 #: Hz, natural frequency of a car's body on its springs
 _SUSPENSION = 1.2
-#: rad per m/s^2, nose up when it speeds up
+#: rad per m/s^2, pitch of the body, nose up, for forward acceleration
 _PITCH = math.radians(0.35)
-#: rad per m/s^2, leaning outwards in a bend
+#: rad per m/s^2, roll of the body, outwards, for lateral acceleration
 _ROLL = math.radians(0.4)
-#: rad per m/s^2, from the body's forward axis to the velocity in a bend
+#: rad per m/s^2, sideslip: angle from the body's forward axis to the velocity for lateral acceleration
 SIDESLIP = 0.003
 
 
@@ -57,7 +57,7 @@ class Scene:
                               rotating_earth=self.rotating_earth, axle_to_imu=(x, -y, -z), **body, **options)
 
     def distortions(self, seed: int) -> dict:
-        """What `simulate_recording` takes beside drive, sensors and receiver: effects, vibration and aiding."""
+        """Further arguments of `simulate_recording`: effects, vibration and aiding."""
         off = stream(seed, 'mounting').uniform(-self.mounting_error, self.mounting_error, 3)
         return {'effects': [(EFFECTS['mounting_rotation'], dict(zip(('roll', 'pitch', 'yaw'), off.tolist())))]
                 if self.mounting_error else [],

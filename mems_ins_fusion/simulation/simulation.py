@@ -1,6 +1,6 @@
-"""Simulated recordings: a drive, seen by sensors with errors and by a GNSS receiver, with effects that nobody declared.
+"""Simulated recordings: the samples of sensors with errors and of a GNSS receiver in a drive, with undeclared effects.
 
-Each purpose has random numbers of its own, so that adding an effect, or an axis' model, does not change the rest.
+Each purpose has its own random number generator, so that adding an effect, or a model of an axis, changes nothing else.
 """
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ class SensorErrors:
 
 
 class Aiding(dict):
-    """Rates, Hz, and errors of further sensors, by the names of `simulated_with` of their measurements; the rate of one
-    that is not there is 0."""
+    """Rates, Hz, and errors of further sensors, by the names in `Measurement.simulated_with`. A rate of 0: the sensor
+    is not simulated."""
 
     def __init__(self, **given: float):
         known = {name: value for one in (*MEASUREMENTS.values(), Inertial)
@@ -85,7 +85,7 @@ class Aiding(dict):
 
 @dataclass(frozen=True)
 class Simulation:
-    """A recording and what is true of it.
+    """A simulated recording and its truth.
 
     drive: the true motion, with the effects that move the body. sensor_errors: (n, 6) m/s^2 and rad/s, the slow errors
     and constant biases in body axes (forward-right-down), without white noise and effects.
@@ -102,7 +102,7 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
                        effects: Sequence[tuple[Effect, dict[str, float]]] = (), mounting_rpy=(0.0, 0.0, 0.0),
                        seed: int = 0, name: str = 'simulation', vibration: Vibration | None = None,
                        aiding: Aiding | None = None, named: Sequence[Measurement] = ()) -> Simulation:
-    """What the sensors of `drive` record.
+    """Simulate the recording of sensors in `drive`.
 
     sensors, gnss: perfect sensors and the default receiver where None. effects: in the order in which they act, each
     with its parameters (those left out take their defaults). mounting_rpy: roll, pitch, yaw (rad) of the rotation from
@@ -165,7 +165,7 @@ def _fixes(drive, gnss, effects, seed) -> Fixes:
         position = effect.distort_fixes(drive, described, position, values, stream(seed, effect.name))
     vertical = 1.5 * gnss.sigma if gnss.vertical_sigma is None else gnss.vertical_sigma
     sigma = np.array([gnss.sigma, gnss.sigma, vertical])
-    # one draw per possible fix, so that an outage does not change the noise of the other fixes
+    # random numbers for each possible fix, so that an outage does not change the noise of the other fixes
     slot = np.round((stamped - gnss.phase) * gnss.rate).astype(int)
     noise = stream(seed, 'gnss.white').standard_normal((slot[-1] + 1 if len(slot) else 0, 3))[slot]
     error = gnss.distort(stamped, true.position, position - true.position + sigma * noise, lambda purpose: stream(
@@ -183,7 +183,7 @@ def _fixes(drive, gnss, effects, seed) -> Fixes:
 
 
 def _aided(drive, aiding, effects, seed, named, to_sensor) -> dict:
-    """What the further sensors say, by name."""
+    """The samples of the further sensors, by name."""
     errors = {**Aiding(), **(aiding or {})}
     wanted = [measurement for measurement in AIDING if errors[f'{measurement.name}_rate']]
     said = {}
@@ -192,7 +192,7 @@ def _aided(drive, aiding, effects, seed, named, to_sensor) -> dict:
         own = {**errors, rate: errors[rate] or (1.0 if measurement.from_satellites else 10.0)}
         lag = sum(effect.measured_lag(measurement.name, values) for effect, values in effects)
         nodes, weights = np.polynomial.laguerre.laggauss(_LAGUERRE) if lag else ([0.0], [1.0])
-        # a low pass is a mean over the past, of which the noise is no part
+        # a low pass is a mean over the past; the noise is added after it
         parts = [measurement.simulated(drive, own, effects, stream(seed, measurement.name), partial(
             _instants, drive, effects, measurement.name, lag * node)) for node in nodes]
         said[measurement.name] = measurement.seen_from(_mean(parts, weights), to_sensor)
@@ -200,7 +200,7 @@ def _aided(drive, aiding, effects, seed, named, to_sensor) -> dict:
 
 
 def _mean(parts, weights):
-    """The first of `parts`, samples of one input, with the mean of what they measure."""
+    """The first of `parts`, samples of one input, with the weighted mean of the values of all."""
     if len(parts) == 1:
         return parts[0]
     name = fields(parts[0])[2].name

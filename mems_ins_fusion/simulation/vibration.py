@@ -1,4 +1,4 @@
-"""What shakes an IMU in a vehicle beside the motion of the body: the engine and the road, as it samples them."""
+"""Vibration of an IMU in a vehicle by engine, wheels and road, as its samples contain it."""
 from __future__ import annotations
 
 import math
@@ -15,19 +15,20 @@ _FIRING_PER_SPEED = 1.6
 _GEAR = 12.0
 #: Hz, lowest rate at which the road is computed before it is sampled, without a filter, at that of the IMU
 _FASTEST = 200.0
-#: Hz, band of the road's shaking that reaches the body through springs and tyres
+#: Hz, frequency band of the road's vibration that springs and tyres pass on to the body
 _WHEELS = (4.0, 25.0)
-#: m, wavelengths with which the roughness of the surface changes
+#: m, wavelengths with which the roughness of the road varies
 _SURFACES = (830.0, 310.0, 97.0)
-#: part of the shaking along each body axis
+#: vibration along each body axis over that along the vertical one
 _AXES = np.array([0.5, 0.6, 1.0])
-#: rad/s of rotation for each m/s^2 of shaking
+#: rad/s of rotation for each m/s^2 of vibration
 _TURN = 0.06
 #: relative size of the harmonics of the wheels: imbalance, tyre and tread
 _HARMONICS = (1.0, 0.6, 0.4, 0.3)
-#: m/s, speed at which the shaking of the wheels is as given; as of any imbalance it grows with the square of the speed
+#: m/s, speed for which the vibration by the wheels is given; as with any imbalance it grows with the square of the
+#: speed
 _WHEEL_SPEED = 10.0
-#: m/s, speed from which on it does not grow any more
+#: m/s, speed above which it does not grow
 _FASTEST_WHEEL = 20.0
 #: Hz, natural frequencies of the suspension and of the IMU's mount
 _LINES = (11.3, 14.1)
@@ -39,9 +40,9 @@ class Vibration:
     road: m/s^2 RMS of the road on the vertical axis at 10 m/s, in proportion to the speed. smoothness: how much the
     surface varies along the road: its roughness is lognormal about the mean, with this standard deviation.
     wheels: m/s^2 RMS of the first harmonic of each of four wheels that are out of balance, at 10 m/s.
-    circumference: m, of them all, within 0.1 %. changed: s after which it is 3 % less; 0: never. lines: m/s^2 RMS of
-    each of two lines that stand in Hz while the vehicle moves. gears: ratios of the engine's second order to the
-    wheels, which shakes with `idle` then instead of firing as it does at rest.
+    circumference: m, of all wheels, within 0.1 %. changed: s after which it is 3 % smaller; 0: never. lines: m/s^2 RMS
+    of each of two lines of constant frequency (Hz) while the vehicle moves. gears: ratios of the engine's second order
+    to the wheels; in motion the engine vibrates with `idle` at this order, instead of at its firing frequency.
 
     The other axes shake somewhat less, and the body turns with it. Faster parts than the IMU's samples show appear
     folded, as without an anti-aliasing filter.
@@ -67,7 +68,7 @@ class Vibration:
         return force * _AXES, _TURN * force[:, [1, 2, 0]] * _AXES[[2, 2, 0]]
 
     def _engine(self, drive, speed, rng):
-        """Firing of the engine, of a frequency that goes with the speed within a gear."""
+        """Firing of the engine, with a frequency that is proportional to the speed within a gear."""
         standing = speed < 1e-9
         number = np.cumsum(np.diff(standing.astype(int), prepend=0) > 0)
         off = rng.uniform(size=number[-1] + 1)[number] < self.engine_off
@@ -80,7 +81,7 @@ class Vibration:
         return shaking * ~(standing & off)[:, None]
 
     def _wheels(self, drive, speed, rng):
-        """Four wheels that are not quite the same, and lines that stand in Hz."""
+        """Four wheels that are not quite the same, and lines of constant frequency (Hz)."""
         circumference = self.circumference * np.where(self.changed and drive.time > self.changed, 0.97, 1.0)
         turned = 2 * math.pi * np.cumsum(speed / circumference) / drive.rate
         force = np.zeros((len(speed), 3))

@@ -1,4 +1,4 @@
-"""What each measurement declares about itself: the base class of those in this folder."""
+"""Base class of the measurements in this folder: what each of them declares about itself."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -19,8 +19,8 @@ NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
 GPS_FIX = 'gps_msgs/msg/GPSFix'
 NOT_THERE = (-1.0, *[0.0] * 8)  # covariance that sensor_msgs/Imu states for a quantity that the message does not hold
 FIRST_NAMED = 100  # number of the first named input
-#: s: stamps may be off by so much, one sigma, without anybody having declared it: a bus, a serial line and a filter in
-#: the sensor take tenths of a second together
+#: s, standard deviation of the time offset of stamps that is not configured: a bus, a serial line and a filter in the
+#: sensor together delay a measurement by tenths of a second
 UNDECLARED_OFFSET = 0.1
 
 
@@ -29,8 +29,8 @@ class SensorSettings:
     """Settings of any input but the fixes.
 
     sigma: standard deviation; 0: that of the message, or default_sigma where the message has none. offset: value of the
-    parameter that `Measurement.offset` names. factor: SI units per unit of the messages. time_offset: s, by which the
-    stamps are late against the IMU's clock; of measurements at the GNSS antenna, in addition to gnss.time_offset. turn:
+    parameter that `Measurement.offset` names. factor: SI units per unit of the messages. time_offset: s by which the
+    stamps are later than the IMU's clock; for measurements at the GNSS antenna, in addition to gnss.time_offset. turn:
     settings of the turn rate, None where the input has none.
     """
 
@@ -53,11 +53,11 @@ class Measurement:
     default of `NAME.default_sigma`. offset: name of the parameter for a known constant error (`NAME.offset` or
     `NAME.scale`), '' without. components: number of components of the innovation that are tested together. messages:
     ROS types that carry it, each with the fields that `read` needs; recordings are written with the first type.
-    layouts: of message types that no other part of the package reads: (field, NumPy type of an element, number of
-    elements) after the header. written_to: topic in recordings that this package writes. of_antenna: whether it is
-    measured at the GNSS antenna, with the receiver's stamps. from_satellites: whether an outage withholds it. of_two:
-    whether a sample needs two messages. needs_height: whether it says nothing to a mechanization without a height.
-    has_arm: whether it depends on where in the vehicle it is measured.
+    layouts: for message types that no other part of the package reads: (field, NumPy type of an element, number of
+    elements) of each field after the header. written_to: topic in recordings that this package writes. of_antenna:
+    whether it is measured at the GNSS antenna, with the receiver's stamps. from_satellites: whether it is withheld in
+    an outage. of_two: whether a sample is computed from two messages. needs_height: whether it can only be used with a
+    mechanization that has a height. has_arm: whether it depends on where in the vehicle it is measured.
     simulated_with: rate (Hz; 0: not simulated) and errors in simulations, by the names of `simulation.Aiding`.
     state_column: column of the head for the index of the first optional state of the unnamed input, None without.
 
@@ -93,7 +93,7 @@ class Measurement:
 
     @property
     def time_offset_state(self) -> str:
-        """Name of the state that is what is left of its time offset."""
+        """Name of the state for the time offset that remains beside the configured one."""
         return f'{self.name}_time_offset'
 
     def named(self, name: str, number: int, arm=(0.0, 0.0, 0.0)) -> Measurement:
@@ -154,7 +154,8 @@ class Measurement:
         return samples
 
     def records(self, settings: SensorSettings, samples) -> tuple[np.ndarray, dict[int, str], dict[int, str]]:
-        """Records (n, Event.SIZE) of `samples`; by its index, why one cannot be used, and a warning."""
+        """Records (n, Event.SIZE) of `samples`; for samples that cannot be used, the reason by index; and warnings by
+        index."""
         raise NotImplementedError
 
     def off(self, measured: float, innovation: np.ndarray) -> str:
@@ -179,7 +180,9 @@ class Measurement:
         raise NotImplementedError
 
     def seen_from(self, samples, to_sensor):
-        """Simulated `samples` of base_link's axes in those of the IMU; to_sensor: scipy's Rotation to these."""
+        """Simulated `samples` in the axes of base_link, converted to those of the IMU by the scipy Rotation
+        `to_sensor`.
+        """
         return samples
 
 

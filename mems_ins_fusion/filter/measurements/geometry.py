@@ -20,7 +20,7 @@ def body_to_level(mem, r):
 
 @njit(_nrt=False)
 def turn_attitude(mem, r, north, east, down):
-    """Take the small rotation (north, east, down), rad, out of the attitude of the state at r."""
+    """Correct the attitude of the state at r by the small error (north, east, down), rad."""
     if mem[Head.MECHANIZATION] == PLANAR:
         mem[r + Nav.YAW] -= down
         return
@@ -31,7 +31,7 @@ def turn_attitude(mem, r, north, east, down):
 
 @njit(_nrt=False)
 def set_heading(mem, r, yaw):
-    """Give the body of the state at r another heading, rad; roll and pitch stay."""
+    """Set the heading of the body in the state at r to `yaw`, rad; roll and pitch stay."""
     if mem[Head.MECHANIZATION] == PLANAR:
         mem[r + Nav.YAW] = yaw
         return
@@ -77,7 +77,8 @@ def add(mem, h, error, value):
 def arm_of(mem, at, unnamed):
     """Lever arm from the IMU to the point of measurement of the record at `at`, body axes, m.
 
-    A named input has its lever arm in the record; unnamed: position in the memory of that of the unnamed input.
+    A named input has its lever arm in the record. unnamed: position in the memory of the lever arm of the unnamed
+    input.
     """
     arm = at + Event.ARM if mem[at + Event.INPUT] > 0.0 else unnamed
     return mem[arm], mem[arm + 1], mem[arm + 2]
@@ -87,7 +88,7 @@ def arm_of(mem, at, unnamed):
 def own_state(mem, at, unnamed):
     """Index of the first optional state of the input of the record at `at`, -1: none.
 
-    A named input has it in the record; unnamed: position in the memory of that of the unnamed input.
+    A named input has the index in the record. unnamed: position in the memory of the index for the unnamed input.
     """
     return int(mem[at + Event.STATE]) if mem[at + Event.INPUT] > 0.0 else int(mem[unnamed])
 
@@ -130,8 +131,8 @@ def add_body_velocity(mem, r, h, c, axis, scale):
 
 @njit(_nrt=False)
 def _along(mem, p, n, first, c, axis):
-    """Variance along a body axis of three errors in n, those from `first` on (V_N or PHI_N) that the mechanization has;
-    p: position of P (n, n)."""
+    """Variance along a body axis of an error vector in n: the three errors from `first` on (V_N or PHI_N), as far as
+    they are states. p: position of P (n, n)."""
     total = 0.0
     for i in range(3):
         for j in range(3):
@@ -145,8 +146,8 @@ def _along(mem, p, n, first, c, axis):
 def second_order(mem, n, c, axis, mounting):
     """Second-order term of a constraint: variance of (error of forward speed) x (error of angle), m^2/s^2.
 
-    Their product is lost in the linearisation; without it a speed error of metres per second is taken for an angle
-    (P. S. Maybeck, "Stochastic Models, Estimation, and Control", vol. 2, 1982, ch. 12). axis: body axis of the angle.
+    The linearisation omits this product; without it a speed error of some m/s is estimated as an angle (P. S. Maybeck,
+    "Stochastic Models, Estimation, and Control", vol. 2, 1982, ch. 12). axis: body axis of the angle.
     mounting: index of the mounting state that adds to the angle, or -1. P is at the start of the scratch.
     """
     p = int(mem[Head.SCRATCH_AT])
@@ -165,6 +166,6 @@ def angular_rate(mem, r, sample):
 
 @njit(_nrt=False)
 def _rate(mem, r, sample, axis):
-    """One component; zero where the mechanization does not use that gyroscope."""
+    """One component of `angular_rate`; zero where the mechanization does not use that gyroscope."""
     state = channel_of(mem, 3 + axis)
     return mem[sample + Sample.W_X + axis] - mem[r + NAV + state] if state >= 0 else 0.0

@@ -23,9 +23,9 @@ Offsets = HEAD.place('Offsets', HEADING=1)
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, c, sample):
-    """Yaw, difference wrapped to half a turn; one component."""
+    """Yaw of the vehicle; the innovation is wrapped to (-pi, pi]. One component."""
     yaw, offset = int(mem[Head.MOUNTING_YAW]), own_state(mem, at, Offsets.HEADING)
-    # yaw of the vehicle's axes in b, and what the heading is off by; `update` subtracts H times these estimates
+    # yaw of the vehicle's axes in b, and error of the measured heading; `update` subtracts H times these estimates
     estimated = (mem[r + NAV + yaw] if yaw >= 0 else 0.0) + (mem[r + NAV + offset] if offset >= 0 else 0.0)
     difference = math.atan2(c[3], c[0]) + estimated - mem[at + Event.VALUE]
     mem[at + Event.Z_N] = math.atan2(math.sin(difference), math.cos(difference)) - estimated
@@ -40,8 +40,8 @@ def observe(mem, r, at, h, c, sample):
     return 1
 
 
-SMALLEST_SIGMA = 0.001  # rad: smallest standard deviation that a heading is credited with, whatever its message claims
-LARGEST_YAW = 100.0  # rad: a larger yaw is not a number of radians or degrees that wrap
+SMALLEST_SIGMA = 0.001  # rad, lower limit of the standard deviation of a heading, whatever the message states
+LARGEST_YAW = 100.0  # rad: a larger yaw is not an angle in radians, even if it was not wrapped
 
 
 class Heading(Measurement):
@@ -58,10 +58,10 @@ class Heading(Measurement):
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter(f'{self.name}.offset', 0.0, 'rad', 'Of the heading measured to that of base_link, clockwise; '
-                      'subtracted.', minimum=-2 * math.pi, maximum=2 * math.pi),
-            Parameter(f'{self.name}.offset_sigma', 0.1, 'rad', 'Standard deviation of what is left of that offset, '
-                      'which is estimated: antennas and compasses are mounted to some degrees; 0: nothing is left.',
+            Parameter(f'{self.name}.offset', 0.0, 'rad', 'Measured heading minus heading of base_link, clockwise; it '
+                      'is subtracted.', minimum=-2 * math.pi, maximum=2 * math.pi),
+            Parameter(f'{self.name}.offset_sigma', 0.1, 'rad', 'Standard deviation of the remaining offset, which is '
+                      'estimated: antennas and compasses are mounted to some degrees; 0: none remains.',
                       minimum=0.0, maximum=math.pi))
 
     def states(self, values):
@@ -84,8 +84,8 @@ class Heading(Measurement):
         return r, reasons, {}
 
     def off(self, measured, innovation):
-        return (f'heading {math.degrees(measured) % 360:.1f} deg, {math.degrees(abs(innovation[0])):.1f} deg off what '
-                'was expected')
+        return (f'heading {math.degrees(measured) % 360:.1f} deg differs from the expected one by '
+                f'{math.degrees(abs(innovation[0])):.1f} deg')
 
     def read(self, fields, message):
         """NaN for an Imu message without an orientation, and for a zero quaternion."""

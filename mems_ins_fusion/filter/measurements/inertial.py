@@ -1,5 +1,5 @@
-"""A further IMU (`NAME.type: imu`). The filter does not observe it: `runs/imus.py` merges its samples with those of
-`imu_topic`. It is named, read, written and simulated as a measurement is."""
+"""A further IMU (`NAME.type: imu`). It is not a measurement of the filter: `runs/imus.py` merges its samples with those
+of `imu_topic`. It has a name and is read, written and simulated like a measurement."""
 from __future__ import annotations
 
 import math
@@ -73,7 +73,8 @@ class Inertial(Measurement):
                 'angular_velocity': samples.angular_rate}
 
     def simulated(self, drive, errors, effects, rng, instants):
-        """At its own place, in its own axes, with its own errors; of the effects only those of stamps act on it."""
+        """As `Measurement.simulated`, at the IMU's lever arm, in its axes and with its errors. Only effects on stamps
+        are applied."""
         time, stamp = instants(errors['imu_rate'], 0.0031)
         rate, to_sensor = drive.angular_rate, FLU_TO_FRD @ rotation_from_rpy(*self.mounting_rpy)
         force = drive.specific_force + np.cross(rate, np.cross(rate, self.arm)) + np.cross(

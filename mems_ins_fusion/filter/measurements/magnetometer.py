@@ -106,7 +106,7 @@ def heading(mem, r, at, c):
     return magnetic + mem[at + Event.DECLINATION] + mem[x + 5]
 
 
-#: T: smallest standard deviation that a field is credited with: disturbances by surrounding iron are everywhere
+#: T, lower limit of the standard deviation of a field: surrounding iron disturbs it everywhere
 SMALLEST_SIGMA = 1e-6
 WEAKEST, STRONGEST = 5e-6, 5e-4  # T: range of a field. That of the earth has 22 to 67 uT; the rest allows for hard iron
 STRENGTH_SIGMA = 0.4  # prior standard deviation of the horizontal field at a place, as a share of it: 15 to 40 uT
@@ -193,7 +193,7 @@ class Magnetometer(Measurement):
         if not settings.topic:  # then the filter has no states for the iron
             refuse(reasons, np.ones(n, dtype=bool), lambda i: f'{self.topic} is empty: magnetic field dropped')
         refuse(reasons, ~((size >= WEAKEST) & (size <= STRONGEST)), lambda i: f'magnetic field {1e6 * size[i]:.4g} uT '
-               f"is none of the earth: dropped ({self.name}.factor makes T of others)")
+               f"is outside {1e6 * WEAKEST:g} to {1e6 * STRONGEST:g} uT: dropped (a wrong {self.name}.factor?)")
         r[:, Event.VALUE:Event.VALUE + 3] = fields.field @ settings.rotation.T / settings.horizontal
         variance = stated_or(fields.variance, settings, SMALLEST_SIGMA) / settings.horizontal**2
         r[:, Event.R_NN] = r[:, Event.R_EE] = variance

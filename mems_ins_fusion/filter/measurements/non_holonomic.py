@@ -20,10 +20,10 @@ def observe(mem, r, at, h, n, c, sample):
 
     Both are linearised at the estimate of the mounting, which may be any angle; `update` subtracts H times it from z.
 
-    Down, an innovation at speed is one of direction and says nothing about the speed, so its row of H is made
-    perpendicular to the velocity (`direction`). Otherwise each misfit would reduce the speed, as a smaller speed
-    violates the constraint less: with strong vibration the estimate fell from 36 to 16 m/s within half a minute. Below
-    the constraint's sigma of speed the innovation is not one of direction.
+    In motion, a vertical velocity is an error of the direction and contains no information on the speed. So the row of
+    H of the vertical component is made perpendicular to the velocity (`direction`). Otherwise each innovation would
+    reduce the estimated speed, as a smaller speed violates the constraint less: with strong vibration the estimate fell
+    from 36 to 16 m/s within half a minute. At speeds below the constraint's sigma the row is not changed.
     """
     yaw, axle, pitch = int(mem[Head.MOUNTING_YAW]), int(mem[Head.AXLE]), int(mem[Head.MOUNTING_PITCH])
     w_x, w_y, w_z = angular_rate(mem, r, sample)

@@ -12,8 +12,8 @@ from ...samples import Displacements
 from .base import ODOMETRY, POSE, POSE_STAMPED
 from .twist import Twist
 
-#: s: poses further apart in time give no velocity: its mean is no longer the velocity of the middle, and the source may
-#: have restarted in between
+#: s: poses further apart in time give no velocity: the mean velocity is not that in the middle any more, and the source
+#: may have restarted in between
 LONGEST = 1.0
 
 
@@ -22,7 +22,7 @@ class Pose(Twist):
 
     name, samples, of_two = 'pose', Displacements, True
     topic_text = ('Topic of the poses of a lidar or a camera in a frame of their own, of base_link: nav_msgs/Odometry '
-                  'without a twist, geometry_msgs/PoseStamped or PoseWithCovarianceStamped; not of one that has seen '
+                  'without a twist, geometry_msgs/PoseStamped or PoseWithCovarianceStamped; the source must not use '
                   'the fixes')
     messages = {ODOMETRY: ('pose.pose.position', 'pose.pose.orientation'),
                 POSE: ('pose.pose.position', 'pose.pose.orientation'),

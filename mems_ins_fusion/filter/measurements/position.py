@@ -18,23 +18,25 @@ from .geometry import add, add_attitude_error, arm_of, rotate
 from .records import empty, refuse
 from .time_offset import add_time_offset
 
-#: m: standard deviation of a pseudorange, by which a dilution of precision is multiplied where a message has no other
-#: statement of its noise
+#: m, standard deviation of a pseudorange: multiplied by the dilution of precision where a message states no other
+#: error. Chosen, not measured
 RANGE_SIGMA = 3.0
 #: 95 % error over standard deviation, of a horizontal distance (two dimensions) and of a height (one)
 HORIZONTAL_95, VERTICAL_95 = 2.4477, 1.96
 #: `NavSatStatus.status` of each `GPSStatus.status`. RTK fixed: 2; differential corrections or RTK float, whose errors
 #: are larger: 1; no corrections: 0; no fix: -1
 STATUS_OF = {-1: -1, 0: 0, 1: 1, 33: 1, 18: 1, 20: 1, 2: 2, 19: 2}
-FEWEST_SATELLITES = 3  # satellites below which a message that counts them has no position
-SMALLEST_SIGMA = 0.001  # m: smallest standard deviation that a fix is credited with, whatever it claims
+FEWEST_SATELLITES = 3  # a message with fewer satellites (but not zero: not counted) has no position
+SMALLEST_SIGMA = 0.001  # m, lower limit of the standard deviation of a fix, whatever the message states
 LOWEST, HIGHEST = -1000.0, 10000.0  # m above the ellipsoid: limits for a land vehicle
 
 
 @njit(_nrt=False)
 def _antenna_minus_fix(mem, r, at, north, east, down):
-    """Position of the antenna, which is (north, east, down) m from the IMU of the state at r, minus the position in the
-    record at `at`: north, east, down, m."""
+    """Predicted minus measured position of the antenna: north, east, down, m.
+
+    north, east, down: m, from the IMU to the antenna. at: position of the record with the measured position.
+    """
     return ((mem[r + Nav.LATITUDE] - mem[at + Event.LATITUDE]) / mem[r + Nav.NORTH_SCALE] + north,
             (mem[r + Nav.LONGITUDE] - mem[at + Event.LONGITUDE]) / mem[r + Nav.EAST_SCALE] + east,
             mem[at + Event.HEIGHT] - mem[r + Nav.HEIGHT] + down)
@@ -103,11 +105,11 @@ def is_fix(fixes) -> np.ndarray:
 
 @njit(_nrt=False)
 def _judge(records, covariance, kinds, sigma, default_sigma, usable, stated):
-    """Covariances of fixes as the filter takes them, and whether there is something to say of any of them.
+    """Write the variances of fixes to their records. Returns whether any of them has no position or no covariance.
 
-    records (n, Event.SIZE): with position and status; variances are written to it. covariance (n, 3, 3), kinds (n,):
-    those of the messages and their types. sigma, default_sigma: parameters, m. usable (n,), output: whether each has a
-    position. stated (n,), output: whether its covariance is one.
+    records (n, Event.SIZE): with position and status. covariance (n, 3, 3), kinds (n,): covariances in the messages,
+    and their types. sigma, default_sigma: parameters, m. usable (n,), output: whether each fix has a position. stated
+    (n,), output: whether its covariance is valid.
     """
     smallest, default, say = SMALLEST_SIGMA**2, default_sigma**2, False
     for i in range(len(records)):
@@ -128,7 +130,7 @@ def _judge(records, covariance, kinds, sigma, default_sigma, usable, stated):
 
 
 def _reason(latitude: float, longitude: float, height: float, status: float) -> str:
-    """Why a fix that is no position (`is_position`) is none."""
+    """Why a fix has no position (`is_position`), in words."""
     degrees = math.degrees(latitude), math.degrees(longitude)
     if status < 0:
         return f'status {status:.0f}: no fix'
@@ -137,13 +139,16 @@ def _reason(latitude: float, longitude: float, height: float, status: float) -> 
     if not is_place(latitude, longitude, 0.0):
         return f'latitude {degrees[0]:.6f}, longitude {degrees[1]:.6f} deg is not on earth: fix dropped'
     if not is_place(latitude, longitude, height):
-        return f'altitude {height:g} m is no place for a land vehicle: fix dropped'
+        return f'altitude {height:g} m is outside {LOWEST:g} to {HIGHEST:g} m: fix dropped'
     return 'latitude 0, longitude 0 is what receivers send without a fix: fix dropped'
 
 
 def _of_gps_fix(fields) -> dict[str, np.ndarray]:
-    """Status, covariance and covariance type as in NavSatFix, of GPSFix messages: their covariance, else their 95 %
-    errors, else their dilutions of precision."""
+    """Status, covariance and covariance type, as in NavSatFix, of GPSFix messages.
+
+    The covariance is that of the message, or else computed from its 95 % errors, or else from its dilutions of
+    precision.
+    """
     status = np.array([STATUS_OF.get(int(one), 0) for one in fields['status.status']], dtype=np.int8)
     used = fields['status.satellites_used']
     status[(used > 0) & (used < FEWEST_SATELLITES)] = -1
@@ -163,8 +168,8 @@ def _of_gps_fix(fields) -> dict[str, np.ndarray]:
 
 
 class Fix(Measurement):
-    """Unnamed: the fixes of the main receiver, from which the filter starts and restarts (settings: `GnssSettings`).
-    Named: those of a further receiver, treated as any other measurement."""
+    """Fixes. The unnamed input is the main receiver, from which the filter starts and restarts (`GnssSettings`). A
+    named input is a further receiver, and treated like any other measurement."""
 
     kind, name, samples, unit, default_sigma = Kind.POSITION, 'fix', Fixes, 'm', 3.0
     topic_text = ('Topic of the position of an antenna: sensor_msgs/NavSatFix, or, where it is installed, '
@@ -201,7 +206,7 @@ class Fix(Measurement):
         return f'fix {math.hypot(*innovation):.1f} m off'
 
     def records(self, settings, fixes):
-        """As of any measurement; a warning for a fix whose covariance is not usable."""
+        """As `Measurement.records`, with a warning for each fix whose covariance is not usable."""
         n = len(fixes)
         r, reasons, warnings = empty(Kind.POSITION if self.is_plain else Kind.PLACE, n), {}, {}
         r[:, Event.LATITUDE], r[:, Event.LONGITUDE], r[:, Event.HEIGHT] = fixes.latitude, fixes.longitude, fixes.height
@@ -215,7 +220,7 @@ class Fix(Measurement):
         if settings.sigma == 0:
             refuse(warnings, ~stated, lambda i: (
                 f'position_covariance (type {kinds[i]}) [{covariance[i, 0, 0]:g}, {covariance[i, 0, 1]:g}, .., '
-                f'{covariance[i, 1, 1]:g}, .., {covariance[i, 2, 2]:g}] says nothing: gnss.default_sigma '
+                f'{covariance[i, 1, 1]:g}, .., {covariance[i, 2, 2]:g}] is not usable: gnss.default_sigma '
                 f'{settings.default_sigma:g} m is used'))
         return r, reasons, warnings
 

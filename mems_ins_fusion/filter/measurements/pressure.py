@@ -40,7 +40,7 @@ SCALE_HEIGHT = 288.15 / 0.0065  # m: temperature at sea level (K) over lapse rat
 EXPONENT = 8.31432 * 0.0065 / (9.80665 * 0.0289644)  # gas constant times lapse rate over gravity and molar mass
 #: Pa: range on land; the highest road is at 5900 m, the lowest mine 500 m below the sea
 LOWEST, HIGHEST = 40000.0, 115000.0
-SMALLEST_SIGMA = 0.1  # Pa: smallest standard deviation that a pressure is credited with, whatever its message claims
+SMALLEST_SIGMA = 0.1  # Pa, lower limit of the standard deviation of a pressure, whatever the message states
 
 
 def height_of(pressure: np.ndarray) -> np.ndarray:
@@ -92,15 +92,15 @@ class Pressure(Measurement):
         n, pressure = len(pressures), pressures.pressure
         r, reasons = empty(Kind.PRESSURE, n), {}
         possible = (pressure >= LOWEST) & (pressure <= HIGHEST)
-        refuse(reasons, ~possible, lambda i: f'pressure {pressure[i]:g} Pa is none of the air: dropped '
-               f'({self.name}.factor makes Pa of others)')
+        refuse(reasons, ~possible, lambda i: f'pressure {pressure[i]:g} Pa is outside {LOWEST:g} to {HIGHEST:g} Pa: '
+               f'dropped (a wrong {self.name}.factor?)')
         there = np.where(possible, pressure, SEA_LEVEL)
         r[:, Event.VALUE] = height_of(there)
         r[:, Event.R_NN] = stated_or(pressures.variance, settings, SMALLEST_SIGMA) * metres_per_pascal(there) ** 2
         return r, reasons, {}
 
     def off(self, measured, innovation):
-        return f'pressure of a height that is {abs(innovation[0]):.1f} m off'
+        return f'the height by pressure is {abs(innovation[0]):.1f} m off'
 
     def read(self, fields, message):
         return Pressures(stamp=fields['stamp'], received=fields['received'], pressure=fields['fluid_pressure'],

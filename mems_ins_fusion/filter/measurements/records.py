@@ -1,4 +1,4 @@
-"""Shared by the measurements: records for the kernel, and the velocity of a point of a simulated vehicle."""
+"""Functions that measurements share: records for the kernel, and the velocity of a point of a simulated vehicle."""
 from __future__ import annotations
 
 import numpy as np
@@ -6,8 +6,8 @@ import numpy as np
 from ..memory import Event
 
 STEP = 1e-3  # s, half the interval of the central differences in a simulation
-FASTEST = 150.0  # m/s: no land vehicle is faster
-#: m/s (rad/s of a turn rate): smallest standard deviation that a velocity is credited with, whatever its message claims
+FASTEST = 150.0  # m/s, largest velocity that is not refused: no land vehicle is faster
+#: m/s (for a turn rate rad/s), lower limit of the standard deviation of a velocity, whatever the message states
 SMALLEST_SPEED_SIGMA = 0.001
 
 
@@ -28,7 +28,7 @@ def refuse(reasons: dict[int, str], wrong: np.ndarray, text) -> None:
 def stated_or(variance: np.ndarray, settings, smallest: float) -> np.ndarray:
     """Variances (n,): settings.sigma where configured, else the message's where positive, else settings.default_sigma.
 
-    smallest: standard deviation below which no message is credited.
+    smallest: lower limit of the standard deviation.
     """
     if settings.sigma > 0:
         return np.full(len(variance), settings.sigma**2)

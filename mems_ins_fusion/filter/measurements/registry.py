@@ -31,7 +31,7 @@ INERTIAL = Inertial()  # a named input can also be a further IMU
 _NAMED = {**TYPES, INERTIAL.name: INERTIAL}
 INPUTS = Parameter('inputs', [], 'text', 'Names of further inputs, any number, each with NAME.type '
                    f'({", ".join(sorted(_NAMED))}), NAME.topic, NAME.time_offset, NAME.sigma and others of its type, '
-                   'NAME.lever_arm where it is measured. The parameters without a name are of one more input of each '
+                   'NAME.lever_arm where it is measured. The parameters without a NAME describe one more input of each '
                    'type.')
 _NAME = re.compile(r'[a-z][a-z0-9_]*')  # the name of an input
 
@@ -39,7 +39,7 @@ _NAME = re.compile(r'[a-z][a-z0-9_]*')  # the name of an input
 def named_parameters(values: Mapping, taken: Mapping) -> dict[str, Parameter]:
     """Parameters of the named inputs in the unchecked `values`; taken: all other parameters.
 
-    ParameterError where the definition of an input is wrong.
+    Raises ParameterError where the definition of an input is wrong.
     """
     found: dict[str, Parameter] = {}
     names = INPUTS.check(values.get('inputs', []))
@@ -48,8 +48,7 @@ def named_parameters(values: Mapping, taken: Mapping) -> dict[str, Parameter]:
             raise ParameterError(f"parameter 'inputs' must have different names of small letters, digits and _, got "
                                  f"'{name}'")
         if name in ('temperature', *_NAMED) or any(one.startswith(f'{name}.') for one in taken):
-            raise ParameterError(f"parameter 'inputs': '{name}' is what other parameters are called, give it another "
-                                 'name')
+            raise ParameterError(f"parameter 'inputs': '{name}' is the prefix of other parameters, choose another name")
         for needed in ('type', 'topic'):
             if not values.get(f'{name}.{needed}'):
                 raise ParameterError(f"parameter '{name}.{needed}' is missing: 'inputs' has '{name}'")

@@ -32,7 +32,7 @@ def observe(mem, r, at, h, c, sample):
     if mem[at + Event.INPUT] == 0.0:
         if across >= 0:
             mem[h + across] = w_z
-    elif gyroscope >= 0:  # a lateral arm: the speed contains the turn rate. `update` subtracts H times the estimate
+    elif gyroscope >= 0:  # with a lateral arm the speed contains the turn rate; `update` subtracts H times the estimate
         mem[h + gyroscope] = -y
         mem[at + Event.Z_N] -= y * mem[r + NAV + gyroscope]
     mem[at + Event.Z_N] -= mem[at + Event.VALUE]
@@ -101,7 +101,7 @@ class Speed(Measurement):
         return Speeds(stamp, stamp.copy(), speed, np.full(len(time), errors['speed_sigma'] ** 2))
 
     def _true(self, drive, time):
-        """True speed of the rear axle, of a named input at its lever arm, m/s."""
+        """True speed at the rear axle, or of a named input at its lever arm, m/s."""
         if self.is_plain:
             return drive.path.wheel_speed(time)
         return np.einsum('ki,ki->k', velocity_at(drive, time, self.arm), drive.at(time).attitude.as_matrix()[:, :, 0])

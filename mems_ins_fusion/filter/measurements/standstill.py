@@ -38,6 +38,6 @@ def observe_rate(mem, at, h, n, sample):
 
 @njit(_nrt=False)
 def _variance(mem, axis, dt):
-    """Variance of one gyroscope sample: white noise, or the scatter seen at standstill where the engine's vibration
-    makes that larger."""
+    """Variance of one gyroscope sample: white noise, or the scatter of the samples where the engine's vibration makes
+    it larger."""
     return max(mem[WHITE + 3 + axis] / dt, mem[Imu.SPREAD + 1])

@@ -20,7 +20,7 @@ from .geometry import add_body_velocity, along, angular_rate, arm_of, body_veloc
 from .records import FASTEST, SMALLEST_SPEED_SIGMA, STEP, empty, refuse, stated_or, velocity_at
 from .time_offset import acceleration, add_time_offset
 
-#: index of the optional state twist_scale among all n, behind which twist_turn_scale stands; -1: neither
+#: index of the optional state twist_scale among all n, which twist_turn_scale follows; -1: neither
 Scales = HEAD.place('Scales', TWIST=1)
 
 
@@ -71,7 +71,7 @@ def measures_sideways(mem, at):
 class Twist(Measurement):
     kind, name, samples, unit, default_sigma = Kind.TWIST, 'twist', Twists, 'm/s', 0.1
     topic_text = ('Topic of the odometry of wheels, a lidar or a camera, base_link: twist of nav_msgs/Odometry or '
-                  'geometry_msgs/TwistWithCovarianceStamped; not of one that has seen the fixes')
+                  'geometry_msgs/TwistWithCovarianceStamped; the source must not use the fixes')
     components, has_arm, state_column = 2, True, Scales.TWIST
     messages = {ODOMETRY: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance'),
                 TWIST: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance')}
@@ -91,8 +91,9 @@ class Twist(Measurement):
             self.factor_parameter('m/s, positive forward', '0.01 for cm/s, -1 where forward is negative'),
             Parameter(f'{self.name}.scale_sigma', 0.02, '-', 'Standard deviation of the scale factor error of the '
                       'velocity, which is estimated: measured = (1 + scale) true.', minimum=1e-6, maximum=0.5),
-            Parameter(f'{self.name}.turn_scale_sigma', 1.0, '-', 'The same of the turn rate: the track of the wheels '
-                      'may be unknown, skid-steered wheels slip sideways, and some sources count turns to the right.',
+            Parameter(f'{self.name}.turn_scale_sigma', 1.0, '-', 'Standard deviation of the scale factor error of the '
+                      'turn rate, which is estimated: the track of the wheels may be unknown, skid-steered wheels slip '
+                      'sideways, and some sources count turns to the right.',
                       minimum=1e-6, maximum=10.0))
 
     def states(self, values):
@@ -126,7 +127,7 @@ class Twist(Measurement):
         return r, reasons, {}
 
     def refusal(self, twist):
-        """Why a twist (3,), forward-right-clockwise, cannot be that of a vehicle."""
+        """Why a twist (3,), forward-right-clockwise, is refused, in words."""
         return f'odometry {twist[0]:g} m/s forwards, {-twist[1]:g} m/s to the left, {-twist[2]:g} rad/s: dropped'
 
     def off(self, measured, innovation):

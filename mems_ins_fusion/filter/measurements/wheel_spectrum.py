@@ -1,10 +1,11 @@
 """Spectrum of the latest seconds of IMU samples over distance driven, in cycles per metre.
 
-A wheel out of balance shakes the vehicle once a revolution, tyre and tread at multiples of that. The samples of a
-window are resampled at equal steps of the distance that the filter went, so that such a line is sharp however the speed
-changes. From the logarithm of the power of each axis its neighbourhood is subtracted, and what is always there at that
-frequency in Hz, which is not of the wheels: suspension, engine at idle, mount. Bin j of the spectrum is j / 2 cycles
-per window: with distance L and duration T of the window, j / (2 L) cycles per metre and j / (2 T) Hz.
+A wheel out of balance excites the vehicle once a revolution, tyre and tread at multiples of this. The samples of a
+window are resampled at equal steps of the distance by the filter, so that such a line is sharp although the speed
+changes. Two means are subtracted from the logarithm of the power of each axis: that of its neighbourhood, and the
+long-term mean at the same frequency in Hz, which is caused by suspension, idling engine and mount, not by the wheels.
+Bin j of the spectrum is j / 2 cycles per window: with distance L and duration T of the window, j / (2 L) cycles per
+metre and j / (2 T) Hz.
 """
 from __future__ import annotations
 
@@ -26,9 +27,11 @@ SHORTEST = 1.01 * WINDOW / POINTS
 AXES = 6  # three accelerometers, three gyroscopes
 NEIGHBOURHOOD = 16  # bins to either side that are the neighbourhood: 2 Hz
 HIGHEST = 0.9  # highest frequency used, as a share of the Nyquist frequency: interpolation removes power near that
-#: smallest logarithm of the power over its neighbourhood: no single bin is stronger evidence against a line
+#: lower limit of the logarithm of the power over its neighbourhood, so that no single bin decides against a line.
+#: Chosen, not measured
 LEAST = -1.5
-MOST = 3.5  # largest logarithm of the power over its neighbourhood: no single bin is stronger evidence for a line
+#: upper limit of the same, so that no single bin decides for a line. Chosen, not measured
+MOST = 3.5
 STANDING_MEMORY = 150.0  # windows over which the power at constant frequency (Hz) is averaged: five minutes
 BINS = POINTS + 1
 

@@ -1,23 +1,24 @@
 """Speed from the vibration of the wheels: a diagnostic output that changes no estimate (docs/wheel_vibration.md).
 
 Every HOP seconds a window of IMU samples (wheel_spectrum.py) is compared with a wheel of circumference C. Let x be the
-logarithm of true speed over the filter's speed: harmonic h then has a line at h exp(x) / C cycles per metre of the
-distance that the filter went. A channel is one axis and one harmonic, q the logarithm of its power over that of its
+logarithm of true speed over the filter's speed. Harmonic h has a line at h exp(x) / C cycles per metre, where metres
+are those of the filter. A channel is one axis and one harmonic; q is the logarithm of its power over that of its
 neighbourhood. The discriminant of two normal distributions, line and no line, is
 
     T(x) = sum a (q(x) - b),     a = (on - off) / spread,  b = (on + off) / 2,
 
-where `on` and `off` are the channel's mean q on the line and beside it while fixes gave the speed, and `spread` its
-variance beside the line; a channel that shows no line contributes nothing. The likelihood of x over that of no line is
+where `on` and `off` are the channel's mean q on the line and beside it, learned while fixes gave the speed, and
+`spread` is its variance beside the line. A channel without a line does not contribute. The likelihood of x over that of
+no line is
 
     NO_LINE + (1 - NO_LINE) exp(exponent T(x)):
 
-any window may be without a line, and neither channels nor windows are independent (exponent < 1). No speed is reported
-until the windows, each tested before anything is learned from it, have predicted significantly better than chance.
+as a window may have no line, and neither channels nor windows are independent (exponent < 1). No speed is reported
+until the windows have predicted significantly better than chance; each window is tested before it is used for learning.
 
-While fixes come, the windows give the circumference: first a search for the C at which the lines of all windows add up
-(a comb), then a Kalman filter of ln C. Without fixes they give the speed: its probability density on a grid, which may
-have several peaks, goes from window to window.
+While fixes come, the windows give the circumference: first by a search for the C at which the sum of the lines of all
+windows is largest (a comb), then by a Kalman filter of ln C. Without fixes they give the speed: its probability density
+on a grid, which may have several peaks, is propagated from window to window.
 """
 from __future__ import annotations
 
@@ -56,7 +57,7 @@ PARAMETER = Parameter(
     'errors without fixes did not become significantly smaller (docs/wheel_vibration.md).',
     choices=('off', 'report'))
 
-HOP = 2.0  # s from one window to the next: tapered windows that overlap by half are nearly independent
+HOP = 2.0  # s between windows: tapered windows that overlap by half are nearly independent
 SLOWEST = 4.0  # m/s: below this speed the lines of the wheels lie among those of the suspension
 FASTEST_TURN = 0.1  # rad/s: above this turn rate the wheels of the two sides have different speeds, and lines split
 TURN_TIME = 0.5  # s, time constant of the low pass of the turn rate
@@ -73,16 +74,18 @@ SCORE_HALF_WIDTH = 2  # error of the filter's own speed that the score allows, g
 CHANNEL_MEMORY = 150.0  # windows over which a channel's statistics are averaged: five minutes
 SCORE_MEMORY = 60.0  # windows over which the score is averaged: two minutes, so that another wheel is noticed soon
 LEAST_SPREAD = 0.1  # smallest variance of a channel's logarithmic power; noise has 1.6
-#: sigmas by which the search has to find a circumference: a false one exceeds it once in millions of drives
+#: sigmas by which the sum for a circumference has to exceed zero in the search: chance does so once in millions of
+#: drives
 COMB_SIGMAS = 6.0
-COMB_WINDOWS = 15.0  # windows that the search needs: half a minute
-COMB_MEMORY = 300.0  # windows over which the search forgets: ten minutes, as a tyre may be changed
+COMB_WINDOWS = 15.0  # number of windows that the search needs: half a minute
+COMB_MEMORY = 300.0  # number of windows over which the search is averaged: ten minutes, as a tyre may be changed
 COMB_SIGMA = 0.01  # standard deviation of ln C as the search finds it
 C_DRIFT = 0.001**2 / 600.0  # 1/s, variance that ln C gains: 0.1 % in ten minutes, as a tyre warms up
 LEAST_SIGMA = 0.003  # smallest standard deviation of ln C: engine orders that follow the wheels in one gear bias it
 INNOVATION_MEMORY = 20.0  # windows over which the normalized innovation of ln C is averaged
 INNOVATION_LIMIT = 4.0  # sigmas of that mean beyond which the lines are of another wheel, or of no wheel
-REOPENED_SIGMA = 0.015  # standard deviation of ln C after that: too large for a speed to be reported
+#: standard deviation of ln C that is set then: larger than LARGEST_C_SIGMA, so that no speed is reported
+REOPENED_SIGMA = 0.015
 PARKED_SIGMA = 0.003  # standard deviation by which ln C may change while the vehicle is parked: pressure and load
 NEW_WHEEL = 0.02  # ln C that the search finds is of another wheel beyond this difference
 #: factor on the variance of each innovation of ln C: errors of the fixes last longer than one window
@@ -195,7 +198,7 @@ def diagnostics(memory: np.ndarray, now: float) -> dict[str, float]:
         return {}
     numbers = {'circumference of the wheels, m': found['circumference_m'],
                'circumference of the wheels sigma, m': found['sigma_m'],
-               'share of the time in which the wheels are heard, %': found['share_of_time_percent']}
+               'share of the time with a line of the wheels, %': found['share_of_time_percent']}
     if memory[at + Lines.VARIANCE] > 0.0:
         numbers |= {'speed by the wheels, m/s': float(memory[at + Lines.SPEED]),
                     'speed by the wheels sigma, m/s': math.sqrt(memory[at + Lines.VARIANCE]),
@@ -212,7 +215,7 @@ def restore(memory: np.ndarray, kept: np.ndarray | None) -> None:
 
 @njit(_nrt=False)
 def listen(mem, k):
-    """Take in sample k, and at the end of a window process it."""
+    """Add sample k to the current row, and process the window if one ends here."""
     at, sample, r = int(mem[Wheels.AT]), nonnegative(sample_at(mem, k)), nonnegative(state_at(mem, k))
     dt, time = mem[sample + Sample.INTERVAL], mem[sample + Sample.TIME]
     speed = speed_of(mem, r)

@@ -1,11 +1,11 @@
 """A live filter whose parameters change while it runs: a filter with the new ones runs in parallel, then takes over.
 
-The new filter begins where the present one is, with its heading and speed, and gets the same messages; with parameters
-on trial it is started in advance. The innovations of the fixes in both filters are compared each second (betting.py).
-The new filter takes over once it is shown to be better, or once it is about as certain as the present one. The replaced
-filter, without the finding that was applied, continues in parallel: where the finding becomes wrong, as when a driver
-is restarted, it is better within seconds and takes over at once. What is published does not jump, whatever the two
-differ by (blending.py). All decisions depend on stamps and values of the inputs alone: live and in a replay the filters
+The new filter begins with position, heading and speed of the present one and gets the same messages. For parameters on
+trial it is started in advance. The innovations of the fixes in both filters are compared each second (betting.py). The
+new filter takes over once it is shown to be better, or once it is about as certain as the present one. The replaced
+filter, which does not contain the finding that was applied, continues in parallel: if the finding becomes wrong, as
+when a driver is restarted, this filter is better within seconds and takes over at once. The published estimate does not
+jump (blending.py). All decisions depend only on stamps and values of the inputs: live and in a replay the filters
 change at the same sample.
 """
 from __future__ import annotations
@@ -27,25 +27,30 @@ from .live import FusionFilter
 from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION
 
 SETTLING = 60.0  # s for which the new filter runs before it may take over: its sensor errors settle in that time
-LONGEST = 180.0  # s after which it takes over unless it has lost its way: its parameters have been proven to be better
-#: standard deviations of position and heading, over those of the present filter, at which the new one is as certain:
-#: one that has just started is less certain for a minute or two, and one that has to learn its mounting longer
+#: s after which the new filter takes over unless its alignment was wrong (LOST): its parameters are proven to be better
+LONGEST = 180.0
+#: largest ratio of the standard deviations of position and heading, new over present filter, at which the new one takes
+#: over before LONGEST. A filter that has just started is less certain for a minute or two, for longer while it
+#: estimates its mounting
 AS_SURE = 1.5
-#: the same, at which the new filter has lost its way after LONGEST, and begins anew: one that has not is within 1.5
-#: times by then, one that has taken a vehicle that reverses for one that drives off is a hundred times less certain
+#: ratio above which, after LONGEST, the alignment of the new filter was wrong, so that it is started again. A filter
+#: with a good alignment is within 1.5 by then; one that has taken a reversing vehicle for one that drives off forwards
+#: has a ratio of a hundred
 LOST = 3.0
-#: m, m/s, rad, standard deviations with which a new filter begins where the present one is: what an arm of metres, an
-#: offset of 0.3 s, and a filter that such errors have led astray move. Fixes soon know better, but one that would look
-#: for its heading itself may take a vehicle that reverses for one that drives off, and stay lost for minutes
+#: m, m/s, rad, standard deviations of position, speed and heading with which a new filter begins at the state of the
+#: present one. They cover lever arms of metres, a time offset of 0.3 s, and the errors that these cause in the present
+#: filter. An alignment of its own could take a reversing vehicle for one that drives off, and be wrong for minutes
 BEGIN_POSITION, BEGIN_SPEED, BEGIN_HEADING = 5.0, 1.0, math.radians(10.0)
 PERIOD = 10**9  # ns from one comparison to the next
-#: wealth of the filter without a finding at which the finding is dropped: a useful finding is dropped at most once in
-#: as many comparisons, a day
+#: wealth (betting.py) of the filter without a finding at which the finding is dropped. A useful finding is dropped at
+#: most once in this many comparisons, which are a day
 DROPPED = 86_400.0
-#: wealth of a new filter at which it takes over before it is as certain: its parameters have been proven before
+#: wealth of a new filter at which it takes over although it is less certain. Smaller than DROPPED, as its parameters
+#: have been proven before
 SHOWN_BETTER = 20.0
-KEPT = 100  # fixes whose innovations are kept: two filters process the same fix within seconds of each other
-#: attributes that stay when another filter takes over: outputs, messages and counts
+#: number of fixes whose innovations are kept: two filters process the same fix within seconds of each other
+KEPT = 100
+#: attributes of the filter object that stay when another filter takes over: outputs, messages and counts
 _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 'tallies', 'gaps', 'waited', '_notices',
                     '_judged', '_said', '_said_mounting', '_said_late', '_next_look', '_recent',
                     '_last_recovery', '_using_fixes'})
@@ -53,7 +58,8 @@ _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 
 
 @dataclass(frozen=True)
 class Handover:
-    """A filter has taken over. stamp: ns. Change of the estimate, which what is published follows slowly: m, rad."""
+    """Record of a change to another filter. stamp: ns. position, yaw: difference of the estimates, m and rad; the
+    published estimate changes by it within `blending.BLENDING`."""
 
     stamp: int
     position: float
@@ -61,7 +67,7 @@ class Handover:
 
     @property
     def text(self) -> str:
-        """For messages."""
+        """The change in words, for a message."""
         return (f'the filter goes on with other parameters: position {self.position:.2f} m, heading '
                 f'{math.degrees(self.yaw):+.2f} deg from where it was')
 
@@ -80,15 +86,15 @@ class WatchedFilter(FusionFilter):
     """`FusionFilter` that keeps the innovations of the fixes, by a number of the fix that several filters share."""
 
     def __init__(self, config: FilterConfig):
-        self._numbers: dict[int, int] = {}  # of fixes that are not processed yet, by Event.ID
+        self._numbers: dict[int, int] = {}  # by Event.ID: numbers of fixes that are not processed yet
         self.misfits: dict[int, tuple[float, float]] = {}
         super().__init__(config)
 
     def begin_at(self, other: FusionFilter) -> None:
-        """Begin where `other`, whose newest sample is the first one of this filter, is."""
+        """Begin at the state of `other`, whose newest sample is the first one of this filter."""
         FusionFilter.update_odometry(other)
         yaw = math.pi / 2.0 - float(yaw_of_quaternion(*other.odometry[ORIENTATION:POSE_COVARIANCE]))
-        # the same IMU: only what the vehicle's axes are called differs
+        # the IMU is the same, only the mounting by which its axes are related to the vehicle's differs
         yaw += self.config.parameters['imu.mounting_rpy'][2] - other.config.parameters['imu.mounting_rpy'][2]
         speed, epoch = float(other.odometry[LINEAR]), self._now
         self.reset()
@@ -98,7 +104,7 @@ class WatchedFilter(FusionFilter):
         self._begin(Start(0.0, *other.geodetic.tolist(), velocity, float(wrap(yaw)), covariance, None), epoch)
 
     def add_numbered(self, number: int, *fix) -> None:
-        """`add_fix` for the fix with this number."""
+        """`add_fix` for the fix that has this number in all parallel filters."""
         self._numbers[self._ids] = number
         FusionFilter.add_fix(self, *fix)
 
@@ -111,10 +117,12 @@ class WatchedFilter(FusionFilter):
 
 
 class ParallelFilter:
-    """A filter with other parameters than the present one, and the bets on it. begun: ns. since: ns, when its wealth
-    was last at its initial value. after: number of the last fix before the comparison. settling: s of common fixes
-    before the first bet, where neither filter has run before: one that has just aligned predicts worse by chance.
-    is_new: it has no sample yet."""
+    """A filter with other parameters than the present one, and the bets on it.
+
+    begun: ns. since: ns, when its wealth was last at its initial value. after: number of the last fix before the
+    comparison. settling: s with fixes in both filters before the first bet, if neither has run before: a filter that
+    has just aligned predicts worse by chance. is_new: it has no sample yet.
+    """
 
     def __init__(self, fusion: WatchedFilter, begun: int, after: int, settling: float = 0.0, is_new: bool = False):
         self.fusion, self.begun, self.since, self.is_new = fusion, begun, begun, is_new
@@ -122,16 +130,18 @@ class ParallelFilter:
         self._settled: int | None = None  # ns, from when on there are bets
 
     def begin_anew(self) -> None:
-        """Both filters have to align again."""
+        """Reset the comparison: both filters have to align again."""
         self._settled = None
 
     def is_better(self, wealth: float) -> bool:
-        """Whether the bets on it have reached `wealth`."""
+        """Whether the wealth staked on this filter has reached `wealth`."""
         return self.fusion.aligned and self._bets.pro >= math.log(wealth)
 
     def compare(self, present: dict[int, tuple[float, float]], now: int) -> None:
-        """Bet on the mean of the fixes that both filters have processed since the last call: errors within a second are
-        correlated. present: innovations of the present filter. now: ns."""
+        """Bet on the mean innovation of the fixes that both filters have processed since the last call.
+
+        The mean, as errors within a second are correlated. present: innovations of the present filter. now: ns.
+        """
         own = self.fusion.misfits
         both = sorted(number for number in present.keys() & own.keys() if number > self._compared)
         if not both:
@@ -184,12 +194,12 @@ class ChangingFilter(WatchedFilter):
         self._ready = [one for one in self._ready if one is not self._next]
 
     def prepare(self, several: list[dict]) -> None:
-        """Run filters with each of these checked parameters in parallel, so that they have settled when one is to take
-        over; others that were prepared end."""
+        """Run a filter with each of these checked parameters in parallel, so that it has settled when it is to take
+        over. Filters that were prepared before are dropped."""
         self._ready = [self._having(values) for values in several]
 
     def watch(self, without: dict[str, dict]) -> None:
-        """Run filters without each finding of the present parameters in parallel, as after `change`."""
+        """Run in parallel, for each finding in the present parameters, a filter without it, as after `change`."""
         self._without = without
         self._beside = {name: self._beside_with(values, SETTLING) for name, values in without.items()}
 
@@ -254,7 +264,8 @@ class ChangingFilter(WatchedFilter):
             other.set_start(*start)
 
     def update_odometry(self) -> int:
-        """As of `FusionFilter`; for a while after another filter has taken over with a part of the difference."""
+        """As `FusionFilter.update_odometry`, with the transition of `blending.py` after another filter has taken over.
+        """
         stamp = super().update_odometry()
         if self._blending is not None:
             part = self._blending.part(stamp)
@@ -265,7 +276,7 @@ class ChangingFilter(WatchedFilter):
         return stamp
 
     def horizon(self) -> Horizon | None:
-        """As of `FusionFilter`, of what is published."""
+        """As `FusionFilter.horizon`, of the published estimate."""
         if self._memory is None or self._blending is None:
             return super().horizon()
         return self._horizon.predict(self._memory, added=self._blending.left(self._now))
@@ -283,7 +294,8 @@ class ChangingFilter(WatchedFilter):
             one.begin_anew()
 
     def _compare(self, now: int) -> None:
-        """Let a filter without a wrong finding, or the next filter, take over where it is time."""
+        """Compare the parallel filters, and let one take over: a filter without a finding that is wrong, else the next.
+        """
         for one in self._running:
             one.compare(self.misfits, now)
         wrong = next((name for name, one in self._beside.items() if one.is_better(DROPPED)), None)
@@ -315,8 +327,8 @@ class ChangingFilter(WatchedFilter):
         return math.hypot(*(b - a)[POSITION:POSITION + 2]), float(wrap(yaw))
 
     def _drop(self, name: str, now: int) -> None:
-        """Let the filter without a finding take over at once. From now on other findings are watched by the diagnosis
-        alone."""
+        """Let the filter without the finding `name` take over at once. From now on only the diagnosis watches other
+        findings."""
         one, without = self._beside[name], self._without.get(name)
         position, yaw = self._from(one.fusion)
         self._dropped.append(Dropped(name, one.since, now))
@@ -327,7 +339,7 @@ class ChangingFilter(WatchedFilter):
             self.change(without)
 
     def _take_over(self, other: WatchedFilter, now: int, position: float, yaw: float) -> None:
-        """Become `other`; the present filter continues in parallel where it is one without a finding."""
+        """Become `other`. The present filter continues in parallel if it is the filter without one of the findings."""
         published = None
         if self.aligned:  # else the covariance holds any heading anyway
             self.update_odometry()
@@ -350,7 +362,7 @@ class ChangingFilter(WatchedFilter):
 
 
 def _as_sure(present: np.ndarray, other: np.ndarray, times: float) -> bool:
-    """Whether the standard deviations of position and heading of the odometry `other` (SIZE,) are at most so many times
-    those of `present`."""
+    """Whether the standard deviations of position and heading of the odometry `other` (SIZE,) are at most `times` those
+    of `present`."""
     a, b = (odometry[POSE_COVARIANCE:LINEAR].reshape(6, 6) for odometry in (present, other))
     return bool(b[0, 0] + b[1, 1] <= times**2 * (a[0, 0] + a[1, 1]) and b[5, 5] <= times**2 * a[5, 5])

@@ -1,11 +1,11 @@
 """Trust horizon: for how long, and how far, the position error stays within `horizon.limit` without fixes.
 
 A small copy of the filter's memory (newest state, newest sample, scratch) is predicted without fixes, in steps, for
-straight motion: at the present speed, or accelerating to `horizon.speed` where that is higher. The non-holonomic
-constraint and the wheel speed, where there is one, are applied with zero innovations: only the covariance changes.
-Standstills are not, as nobody knows whether there will be one. The horizon ends where the horizontal error exceeds
-`horizon.limit` with a probability above 5 %, by the published covariance. What the published position has beside the
-estimate while another filter takes over (blending.py) counts as long as it is there.
+straight motion at the present speed, or accelerating to `horizon.speed` where that is higher. The non-holonomic
+constraint, and the wheel speed where there is one, are applied with zero innovations, so that only the covariance
+changes. Standstills are not applied, as it is unknown whether there will be one. The horizon ends where the horizontal
+error exceeds `horizon.limit` with a probability above 5 %, by the published covariance. While another filter takes over
+(blending.py), the difference that is added to the published position counts as an error.
 """
 from __future__ import annotations
 
@@ -45,25 +45,25 @@ from .odometry import added_covariance
 #: s, step of the prediction: constraints have the same weight at this interval as at CONSTRAINT_INTERVAL
 #: (`constraints.MOST_TOLD`)
 STEP = 0.2
-#: s, longest horizon: it costs time, and the error after minutes depends on what the vehicle does until then
+#: s, longest horizon. A longer one would cost time, and after minutes the error depends on what the vehicle does
 LONGEST = 120.0
 EXCEEDED = 0.05  # probability of an error above the limit at which the horizon ends
-DRIVING_OFF = 2.0  # m/s^2, acceleration of a vehicle that is slower than `horizon.speed`
+DRIVING_OFF = 2.0  # m/s^2, assumed acceleration of a vehicle that is slower than `horizon.speed`: a car that drives off
 #: directions over a quarter turn at which the probability is evaluated: accurate to 1e-3 for a degenerate ellipse
 _DIRECTIONS = 16
 SPEED_PATIENCE = 1.0  # s since the last wheel speed after which none is expected
 
 
 class Horizon(NamedTuple):
-    """seconds: for which the horizontal error stays below the limit with 95 %, LONGEST at most. metres: driven until
-    then."""
+    """seconds: time for which the horizontal error stays below the limit with a probability of 95 %, LONGEST at most.
+    metres: distance driven in that time."""
 
     seconds: float
     metres: float
 
     @property
     def in_words(self) -> str:
-        """For messages."""
+        """The horizon in words, for a message."""
         more = 'more than ' if self.seconds >= LONGEST else ''
         return f'{more}{self.seconds:.1f} s, {self.metres:.0f} m'
 
@@ -86,9 +86,11 @@ class HorizonPredictor:
 
     def predict(self, memory: np.ndarray, exceeded: float = EXCEEDED,
                 added: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Horizon:
-        """The horizon from the newest state of `memory`, which does not change. exceeded: probability of an error above
-        the limit at which it ends. added: north and east, m, that the published position has beside the estimate, less
-        and less of it for so many seconds."""
+        """The horizon from the newest state of `memory`, which does not change.
+
+        exceeded: probability of an error above the limit at which the horizon ends. added: difference that is added to
+        the published position (`Blending.left`): north and east, m, and the time in which it falls to zero, s.
+        """
         copy, newest, width = self._copy, int(memory[Head.SAMPLES]), self._width
         state, sample = state_at(memory, newest), sample_at(memory, newest)
         copy[:self._rows] = memory[:self._rows]
@@ -116,7 +118,7 @@ def _predict(mem, limit, wanted, interval, exceeded, north, east, left):
     """Seconds and metres until the error exceeds `limit`, m, with a probability above `exceeded`.
 
     mem: as `HorizonPredictor` makes it. wanted: m/s, lowest speed to accelerate to. interval: s between wheel speeds,
-    whose record is in the memory; 0: none. north, east: m, added to the estimate, and gone in `left` s.
+    whose record is in the memory; 0: none. north, east: m, added to the estimate; they fall to zero within `left` s.
     """
     first, width, sample = nonnegative(state_at(mem, 0)), int(mem[Head.WIDTH]), nonnegative(sample_at(mem, 0))
     src, dst, seen = first, nonnegative(first + width), nonnegative(first + 2 * width)
@@ -128,7 +130,7 @@ def _predict(mem, limit, wanted, interval, exceeded, north, east, left):
             return k * STEP, metres
         speed_now = math.hypot(mem[src + Nav.V_N], mem[src + Nav.V_E])
         coast(mem, sample, src)
-        mem[sample + Sample.COASTED] = 0.0  # errors of sensors and attitude count
+        mem[sample + Sample.COASTED] = 0.0  # so that errors of sensors and attitude are propagated
         if speed_now < wanted:
             _accelerate(mem, src, sample)
         predict(mem, src, dst, sample, STEP)

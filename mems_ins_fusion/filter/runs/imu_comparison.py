@@ -1,8 +1,8 @@
-"""Comparing two IMUs: how far they differ, by how much they may by chance, and whether they agree in motion.
+"""Comparison of an IMU with the leading one: their difference, its limits by noise, and whether both agree in motion.
 
-Over WINDOW the difference of IMU j to the leading one has to be small against the motion and no more than the noise of
-both, which an axis, a unit, a scale or a delay that is wrong does not pass. Where they have agreed, each further window
-is judged in the same way, and the difference over QUICK at once against its usual scatter.
+In a window (WINDOW) the difference has to be small compared with the motion, and not larger than the noise of both. An
+IMU with a wrong axis, unit, scale or delay does not pass this test. After both have agreed, each further window is
+tested in the same way, and the difference low-passed with QUICK is tested at each sample against its usual scatter.
 """
 from __future__ import annotations
 
@@ -26,24 +26,27 @@ from .imu_memory import (
     say,
 )
 
-#: share of the specific force by which two that agree may differ in a window, RMS: half a second late is 0.14 and more,
-#: and a scale that is off by 5 % is less than what a bias wanders by
+#: largest difference in a window over the variation of the specific force (both RMS). A delay of half a second gives
+#: 0.14 or more; a scale error of 5 % gives less than the drift of the bias
 SHARE_FORCE = 0.1
-#: the same of the angular rate: an axis off by 1.4 deg, a scale off by 2.5 %; one of 3 % costs, studies/several_imus.py
+#: the same for the angular rate: an axis off by 1.4 deg or a scale error of 2.5 % is accepted. A scale error of 3 % has
+#: a cost (studies/several_imus.py)
 SHARE_RATE = 0.025
-#: m/s^2, RMS of three axes: by which biases of consumer-grade parts wander in a window
+#: m/s^2, RMS of three axes, change of the biases of consumer-grade accelerometers in a window
 WANDER_FORCE = 0.06
-#: rad/s, the same
+#: rad/s, the same of gyroscopes
 WANDER_RATE = 3e-4
-#: standard deviations of the difference that are chance: six components, some 7000 independent ones an hour, and tails
+#: largest difference in standard deviations: an hour has some 7000 independent values of six components, and their
+#: distribution has tails
 SIGMAS = 8.0
-#: multiple of its usual noise, and of that of the other, at which the leading IMU is replaced: rough roads shake both
+#: the leading IMU is replaced when its noise (standard deviation) exceeds its own usual noise and the present noise of
+#: the other IMU by this factor: a rough road shakes both
 NOISIER = 10.0
 
 
 @njit
 def compare(book, j, leader):
-    """Those samples of IMU j that lie between two of the leading one, with it."""
+    """Compare the samples of IMU j that lie between two samples of the leading IMU with these, interpolated."""
     oldest = max(book.kept[leader] - KEPT, 0)
     while book.compared[j] < book.kept[j] and book.kept[leader] > 0:
         c, k = max(book.compared[j], book.kept[j] - KEPT), book.kept[leader] - 1
@@ -58,17 +61,17 @@ def compare(book, j, leader):
         if k > oldest and step <= book.max_gap:
             part = (stamp - book.stamps[leader, earlier]) / step
             between = book.values[leader, earlier] + part * (book.values[leader, later] - book.values[leader, earlier])
-            _weigh(book, j, leader, stamp, book.values[j, c % KEPT], between)
+            _compare_one(book, j, leader, stamp, book.values[j, c % KEPT], between)
 
 
 @njit
-def _weigh(book, j, leader, stamp, value, between):
-    """One comparison: `value` (6,) of IMU j with `between` (6,) of the leading one at the same time."""
+def _compare_one(book, j, leader, stamp, value, between):
+    """Compare `value` (6,) of IMU j with `between` (6,) of the leading one at the same time, `stamp` ns."""
     difference = value - book.offset[j] - between + book.offset[leader]
     shown = np.concatenate((difference, between))
     dt = min(max((stamp - book.compared_at[j]) * 1e-9, 0.0), SILENT)
     if book.compared_at[j] == -1:
-        dt, known = 0.0, 6 if book.averaged[j] else 0  # the difference is none
+        dt, known = 0.0, 6 if book.averaged[j] else 0  # of an averaged IMU the low-passed difference begins at zero
         book.quick[j, known:] = shown[known:]
     book.compared_at[j] = stamp
     if book.count[j] == 0.0:
@@ -98,27 +101,27 @@ def _weigh(book, j, leader, stamp, value, between):
 
 @njit
 def _noise(book, i):
-    """Noise density squared of specific force and of angular rate (2,), which may have grown just now."""
+    """Noise density squared of specific force and of angular rate (2,): the larger of the usual and the present one."""
     return np.maximum(book.noise[i], book.now[i])
 
 
 @njit
 def certainty_of(book, i):
-    """Inverse of `_noise`, limited where an IMU shows none."""
+    """Inverse of `_noise` (2,), the weight of IMU i in the average; bounded for an IMU without noise."""
     return 1.0 / np.maximum(_noise(book, i), 1e-18)
 
 
 @njit
 def _limit(book, j, leader):
-    """What the difference over QUICK of IMU j to the leading one may be by chance, (6,)."""
+    """Largest low-passed difference of IMU j to the leading one that counts as chance, (6,): SIGMAS sigma."""
     white = (book.now[j] + book.now[leader]) / (2.0 * QUICK)
     return SIGMAS * np.sqrt(np.maximum(book.usual[j] + np.repeat(white, 3), 1e-18))
 
 
 @njit
 def _differs(book, j, k, value, limit):
-    """IMU j is not averaged from now on, twice as long each further time: component k of its difference is `value`, and
-    may be `limit`."""
+    """Do not average IMU j from now on, for twice as long each further time, with a message: component k of its
+    difference is `value`, allowed is `limit`."""
     book.differs[j] += 1
     compare_anew(book, j, WINDOW - SLOW * 2.0**(book.differs[j] - 1))
     say(book, DIFFERS, j, k, value, limit)
@@ -126,14 +129,15 @@ def _differs(book, j, k, value, limit):
 
 @njit
 def _decide(book, j, leader):
-    """What the window shows of IMU j. It goes on up to SLOW till there is motion enough to tell."""
+    """Test the window of IMU j. Without enough motion for the test, the window is extended up to SLOW."""
     noise = 3.0 * (_noise(book, j) + _noise(book, leader)) / (2.0 * QUICK)
     moved, worst, which, limit = True, 0.0, 0, 0.0
     for half in range(2):
         share, wander = (SHARE_FORCE, WANDER_FORCE) if half == 0 else (SHARE_RATE, WANDER_RATE)
         motion = share**2 * book.variance[j, 6 + 3 * half:9 + 3 * half].sum()
         apart, chance = book.variance[j, 3 * half:3 * half + 3], wander**2 + noise[half]
-        if half == 1 and book.averaged[j]:  # a rate that drifts; biases of accelerometers wander by more than shows
+        # a drift of the gyroscopes shows in the mean; accelerometer biases change by more than this test could find
+        if half == 1 and book.averaged[j]:
             apart = apart + book.mean[j, 3:6]**2
         moved = moved and motion > chance
         if apart.sum() > worst * max(motion, chance):
@@ -156,7 +160,7 @@ def _decide(book, j, leader):
 
 @njit
 def _learn(book, j, leader, agrees):
-    """The mean of the window is the constant difference of IMU j, which is averaged from now on if it agrees."""
+    """Take the mean of the window as the constant difference (`offset`) of IMU j, and average it if `agrees`."""
     mean, limit = book.mean[j, :6], _limit(book, j, leader)
     k = np.argmax(np.abs(mean) / limit)
     if agrees and book.usual[j, 0] > 0.0 and abs(mean[k]) > limit[k]:

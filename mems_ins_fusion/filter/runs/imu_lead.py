@@ -1,8 +1,9 @@
-"""Choosing which of several IMUs leads, and the samples to hand on to the filter, at the stamps of that one.
+"""Choice of the leading IMU among several, and the samples that are handed on to the filter, with its stamps.
 
-It is the first in the order of preference that gives samples which can be believed. A sample that `imu_faults` finds
-fault with is not used while another IMU is there, and one that is silent is replaced by the next, whose samples since
-then are kept for that. Of those that agree with the leading one (`imu_comparison`) a part of the difference is added.
+The leading IMU is the first in the order of preference that gives valid samples. A faulty sample (`imu_faults`) is not
+used while another IMU is available. When the leading IMU is silent, the next one takes its place, from the time on at
+which the samples ended; its samples are kept for this. A weighted part of the difference of IMUs that agree with the
+leading one (`imu_comparison`) is added to the samples.
 """
 from __future__ import annotations
 
@@ -14,19 +15,21 @@ from ..trust.imu_faults import FAULTS, Fault, check
 from .imu_comparison import certainty_of, compare
 from .imu_memory import ALONE, KEPT, LEADS, NOISY, compare_anew, keep, patience, say
 
-#: s that an IMU which has not agreed with the leading one waits for that: drivers start one after the other, and the
-#: filter bridges seconds without samples better than with an IMU that is mounted another way
+#: s without samples of the leading IMU after which an IMU that has not yet agreed with it leads. Drivers start one
+#: after the other, and bridging some seconds is better than samples of an IMU with a wrong mounting
 FIRST = 5.0
-#: m/s: a speed at which `imu_faults` finds an axis that stays as it is: beside another IMU it may do so at rest, too
+#: m/s, speed that `imu_faults.check` is given: it must be above `standstill.MOVING_SPEED`, so that frozen axes are
+#: found at rest as well. A false alarm costs little while another IMU is available
 _MOVING = 2.0
-#: a sample that is no number
+#: code of a sample that is not finite
 NOT_FINITE = Fault.SIZE
 REASONS = (*FAULTS, 'not a number')
 
 
 @njit
 def _take(book, i, stamp, value, out_stamps, out):
-    """Sample `value` (6,) of IMU i, stamped `stamp` ns; how many samples to hand on are in out_stamps and out."""
+    """Process sample `value` (6,) of IMU i, stamped `stamp` ns. Writes the samples to hand on to out_stamps and out;
+    returns their number."""
     leads, first, step = book.leader[0] == i, book.newest[i] == -1, stamp - book.newest[i]
     if not first and not 0 < step <= book.restart_gap:  # a jump of the stamps, which the filter's intake handles
         if abs(step) > book.max_gap:
@@ -38,19 +41,19 @@ def _take(book, i, stamp, value, out_stamps, out):
         book.epoch[0] = stamp
     dt = 0.0 if first else step * 1e-9
     book.newest[i] = stamp
-    if not first and step > book.max_gap:  # it may have been switched off and on
+    if not first and step > book.max_gap:  # the IMU may have been switched off and on
         compare_anew(book, i, 0.0)
     book.fault[i] = _judge(book, i, stamp, value, dt)
     if book.fault[i] == Fault.NONE:
         keep(book, i, stamp, value, dt)
     if leads:
-        return _led(book, i, stamp, value, out_stamps, out)
-    return _followed(book, i, stamp, out_stamps, out) if book.fault[i] == Fault.NONE else 0
+        return _take_leading(book, i, stamp, value, out_stamps, out)
+    return _take_other(book, i, stamp, out_stamps, out) if book.fault[i] == Fault.NONE else 0
 
 
 @njit
 def _judge(book, i, stamp, value, dt):
-    """What is wrong with a sample, a `Fault` or NOT_FINITE."""
+    """Fault of a sample: a `Fault` or NOT_FINITE."""
     if not np.isfinite(value.sum()):
         return NOT_FINITE
     book.sample[0, 0] = (stamp - book.epoch[0]) * 1e-9
@@ -60,14 +63,14 @@ def _judge(book, i, stamp, value, dt):
 
 @njit
 def _may_lead(book, j):
-    """Whether nothing speaks against IMU j beside the leading one, or it has agreed with it before."""
+    """Whether IMU j may lead: its offset is known, and it has agreed with the leading IMU or has never differed."""
     return book.known[j] and (book.usual[j, 0] > 0.0 or book.differs[j] == 0)
 
 
 @njit
-def _led(book, i, stamp, value, out_stamps, out):
-    """A sample of the leading IMU; how many there are to hand on."""
-    if book.fault[i] != Fault.NONE:  # the filter bridges what it does not believe; another IMU is better
+def _take_leading(book, i, stamp, value, out_stamps, out):
+    """Process a sample of the leading IMU; returns the number of samples to hand on."""
+    if book.fault[i] != Fault.NONE:  # hold a faulty sample back if another IMU is available; else the filter bridges it
         for j in range(len(book.known)):
             if j != i and _may_lead(book, j) and book.fault[j] == Fault.NONE and (
                     stamp - book.newest[j]) * 1e-9 <= patience(book, j) + patience(book, i):
@@ -86,7 +89,9 @@ def _led(book, i, stamp, value, out_stamps, out):
 
 @njit
 def _hand_on(book, i, stamp, value, row, out_stamps, out):
-    """Sample `value` of IMU i as row number `row` of out, with the biases of the first IMU; how many rows there are."""
+    """Write sample `value` of IMU i, minus its offset to the first IMU, to row `row` of out; returns the number of
+    rows.
+    """
     out_stamps[row] = stamp
     out[row] = value - book.offset[i]
     return row + 1
@@ -94,14 +99,15 @@ def _hand_on(book, i, stamp, value, row, out_stamps, out):
 
 @njit
 def _add_others(book, i, stamp, out):
-    """The mean difference of those that agree with the leading IMU i, weighed by their noise, in row 0 of out."""
+    """Add to row 0 of out the mean differences of the IMUs that agree with the leading IMU i, weighted by their noise.
+    """
     used, certainty = 1, certainty_of(book, i)
     for j in range(len(book.known)):
         if j != i and _is_used(book, j, stamp):
             used, certainty = used + 1, certainty + certainty_of(book, j)
     for j in range(len(book.known)):
         if j != i and book.held_count[j] > 0.0 and _is_used(book, j, stamp):
-            # one that filters before it samples shows less noise than it has
+            # at most an equal share: an IMU with a low pass shows less noise than it has
             weight = np.minimum(certainty_of(book, j) / certainty, 1.0 / used) / book.held_count[j]
             out[0, :3] += weight[0] * book.held[j, :3]
             out[0, 3:] += weight[1] * book.held[j, 3:]
@@ -110,20 +116,23 @@ def _add_others(book, i, stamp, out):
 
 @njit
 def _is_used(book, j, stamp):
-    """Whether IMU j is averaged with the leading one: it agrees, and is there."""
+    """Whether IMU j is averaged with the leading one at `stamp`, ns: it agrees, and is not silent."""
     at = book.compared_at[j]
     return book.averaged[j] and at != -1 and (stamp - at) * 1e-9 <= patience(book, j)
 
 
 @njit
-def _followed(book, i, stamp, out_stamps, out):
-    """A sample of another IMU than the leading one, believed: it may have to lead from now on."""
+def _take_other(book, i, stamp, out_stamps, out):
+    """Process a valid sample of IMU i, which does not lead, and let it lead where the leading IMU is silent or worse.
+
+    Returns the number of samples to hand on.
+    """
     leader, last = book.leader[0], book.last[0]
     if book.mark[i] == -1:
         book.mark[i] = stamp
     compare(book, i, leader)
     silent, allowed = (stamp - book.mark[i]) * 1e-9, FIRST
-    if book.kept[leader] > 0:  # what comes in a burst has waited itself
+    if book.kept[leader] > 0:  # samples that come in a burst have waited in a queue themselves
         silent = min(silent, (stamp - book.stamps[leader, (book.kept[leader] - 1) % KEPT]) * 1e-9)
         allowed = patience(book, leader) if _may_lead(book, i) else FIRST
     if last != -1 and not 0 < stamp - last <= book.restart_gap:
@@ -153,9 +162,12 @@ def _followed(book, i, stamp, out_stamps, out):
 
 @njit
 def take_all(book, source, stamp, values, first, out_stamps, out, origin, faults, done):
-    """Messages from number `first` on, of which source (n,) sent stamp (n,) and values (n, 6), till something is to be
-    said; the number of the next message, and of the rows of out_stamps, out and origin (the message they came of) that
-    are filled. faults (sources, reasons): counted. done: rows filled before."""
+    """Process messages from number `first` on until there is a message to the user.
+
+    source (n,): number of the IMU of each message. stamp (n,) ns. values (n, 6). out_stamps, out: samples to hand on.
+    origin: number of the message from which each of these came. faults (sources, reasons): counts, output. done: number
+    of rows of out that are filled already. Returns the number of the next message, and that of the rows filled.
+    """
     room = len(out)
     for m in range(first, len(source)):
         count = _take(book, source[m], stamp[m], values[m], out_stamps[done:room], out[done:room])

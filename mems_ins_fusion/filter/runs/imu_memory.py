@@ -1,6 +1,6 @@
-"""What is remembered of several IMUs: their newest samples, their noise, and how far they agree.
+"""Memory of the code for several IMUs: their newest samples, their noise, and the differences between them.
 
-`imu_comparison` fills what two of them differ by, `imu_lead` which one leads.
+`imu_comparison` writes the differences to the leading IMU, `imu_lead` chooses the leading IMU.
 """
 from __future__ import annotations
 
@@ -13,66 +13,67 @@ from mems_ins_fusion.compiled import njit
 from ..memory import HEAD, Head
 from ..trust.imu_faults import Imu
 
-#: s without a sample, after which the next IMU leads: more than drivers, buses and queues delay one topic against
-#: another, and less than imu.max_gap
+#: s without a sample of the leading IMU after which the next IMU leads. Longer than the delays of drivers, buses and
+#: queues between two topics, and shorter than imu.max_gap
 SILENT = 0.2
-#: the same in sampling intervals, of a slow IMU: two samples may be lost
+#: the same limit in sampling intervals, for a slow IMU: two samples may be lost
 SILENT_INTERVALS = 3.0
-#: samples of each that are kept: FIRST of an IMU of 200 Hz, SILENT of one of 5 kHz
+#: number of samples kept of each IMU: those of `imu_lead.FIRST` at 200 Hz, those of SILENT at 5 kHz
 KEPT = 1024
-#: s over which two are compared, and time constant with which the mean of their difference is taken out: a turn or a
-#: stop is in it, and gyroscopes of consumer grade tell a tenth of their bias
+#: s over which two IMUs are compared, and time constant of the mean of their difference, which is subtracted. Long
+#: enough to contain a turn or a stop, and to find the bias of consumer-grade gyroscopes to a tenth
 WINDOW = 20.0
-#: s: time constant of the difference that is judged: longer than vibration, shorter than what a heading bears
+#: s, time constant of the low pass of the difference that is tested at each sample: longer than vibration, short enough
+#: that a wrong turn rate does not yet spoil the heading
 QUICK = 0.5
-#: s up to which a window waits for motion, for which an IMU that differed is not averaged at least, and time constant
-#: of the usual noise: longer than a straight road or a stop
+#: s: a window waits for motion up to this time; an IMU that differed is not averaged for at least this time; time
+#: constant of the usual noise. Longer than a straight road or a stop
 SLOW = 60.0
-#: codes of the messages, see `_worded`
+#: codes of the messages, see `Imus._worded`
 ALONE, LEADS, AVERAGED, CHANGED, DIFFERS, NOISY = range(6)
 
 
 class Book(NamedTuple):
-    """All that is remembered. Arrays have a row for each IMU; the six components are specific force, then angular rate,
-    sensor axes of the first one. Stamps are ns, -1: none."""
+    """The memory. Arrays have a row for each of n IMUs. The six components are specific force, then angular rate, in
+    the sensor axes of the first IMU. Differences are those to the leading IMU. Stamps are ns, -1: none."""
 
-    offset: np.ndarray  # (n, 6) what is to be subtracted
-    known: np.ndarray  # whether that has been compared
-    averaged: np.ndarray  # whether it agrees with the leading one
-    differs: np.ndarray  # how often it was said that it does not
-    returns: np.ndarray  # whether it has to lead from now on
-    usual: np.ndarray  # (n, 6) mean square of the difference in windows that agreed, 0: none has
-    window: np.ndarray  # s in it, negative: till it begins
-    count: np.ndarray  # differences in it
-    quick: np.ndarray  # (n, 12) the difference over QUICK, and what the leading one shows
-    mean: np.ndarray  # (n, 12) of these in the window
-    variance: np.ndarray  # (n, 12)
-    held: np.ndarray  # (n, 6) sum of the differences since the last sample handed on
-    held_count: np.ndarray
+    offset: np.ndarray  # (n, 6) constant difference to the first IMU, which is subtracted
+    known: np.ndarray  # whether `offset` has been estimated
+    averaged: np.ndarray  # whether the IMU agrees with the leading one, so that both are averaged
+    differs: np.ndarray  # number of messages that it does not agree
+    returns: np.ndarray  # whether it is to lead from now on
+    usual: np.ndarray  # (n, 6) mean square of the difference in windows with agreement; 0: there was none
+    window: np.ndarray  # s since the window began; negative: it has not begun
+    count: np.ndarray  # number of differences in the window
+    quick: np.ndarray  # (n, 12) difference and sample of the leading IMU, low-passed with QUICK
+    mean: np.ndarray  # (n, 12) mean of `quick` in the window
+    variance: np.ndarray  # (n, 12) and its variance
+    held: np.ndarray  # (n, 6) sum of the differences since the last sample that was handed on
+    held_count: np.ndarray  # and their number
     interval: np.ndarray  # s between samples
-    now: np.ndarray  # (n, 2) noise density squared, of f and of w, over QUICK
-    noise: np.ndarray  # (n, 2) and the usual one
-    newest: np.ndarray  # stamp of its newest sample
-    compared_at: np.ndarray  # stamp of the last one that was compared
-    mark: np.ndarray  # its newest stamp when the leading one last came
-    fault: np.ndarray  # of its newest sample
-    kept: np.ndarray  # samples believed, the last KEPT of which are kept
-    compared: np.ndarray  # how many of them have been
-    stamps: np.ndarray  # (n, KEPT)
-    values: np.ndarray  # (n, KEPT, 6)
-    heads: np.ndarray  # (n, ...) what `imu_faults` remembers
-    sample: np.ndarray  # (1, 7) the one judged
-    said: np.ndarray  # (rows, 6) a code, the IMU it is of, the one that leads, three numbers
-    said_count: np.ndarray  # (1,)
-    leader: np.ndarray  # (1,)
-    last: np.ndarray  # (1,) stamp of the newest sample handed on
-    epoch: np.ndarray  # (1,) stamp that times are counted from
+    now: np.ndarray  # (n, 2) noise density squared, of f and of w, with the time constant QUICK
+    noise: np.ndarray  # (n, 2) the same with the time constant SLOW: the usual noise
+    newest: np.ndarray  # stamp of the newest sample
+    compared_at: np.ndarray  # stamp of the last sample that was compared with the leading IMU
+    mark: np.ndarray  # stamp of the newest sample when the last sample of the leading IMU came
+    fault: np.ndarray  # `Fault` of the newest sample
+    kept: np.ndarray  # number of valid samples so far, of which the last KEPT are kept
+    compared: np.ndarray  # number of these that have been compared
+    stamps: np.ndarray  # (n, KEPT) stamps of the samples kept
+    values: np.ndarray  # (n, KEPT, 6) the samples kept
+    heads: np.ndarray  # (n, Head.SIZE) memory of `imu_faults` for each IMU
+    sample: np.ndarray  # (1, 7) argument of `imu_faults.check`
+    said: np.ndarray  # (rows, 6) messages: code, IMU, leading IMU, three numbers
+    said_count: np.ndarray  # (1,) number of messages
+    leader: np.ndarray  # (1,) number of the leading IMU
+    last: np.ndarray  # (1,) stamp of the newest sample that was handed on
+    epoch: np.ndarray  # (1,) stamp from which times are counted
     restart_gap: int  # ns
     max_gap: int  # ns
 
 
 def book_of(n: int, values: dict) -> Book:
-    """Of n IMUs and the checked parameters `values`, before the first sample."""
+    """The memory for n IMUs with the checked parameters `values`, before the first sample."""
     floats = {name: np.zeros((n, *shape)) for shape, names in (
         ((), 'window count held_count interval'), ((2,), 'now noise'), ((6,), 'offset usual held'),
         ((12,), 'quick mean variance'), ((KEPT, 6), 'values'), ((Head.SIZE,), 'heads')) for name in names.split()}
@@ -82,7 +83,7 @@ def book_of(n: int, values: dict) -> Book:
     for head in floats['heads']:
         HEAD.begin(head)
         head[Imu.MAX_FORCE], head[Imu.MAX_RATE] = values['imu.max_specific_force'], values['imu.max_angular_rate']
-    flags['known'][0] = True  # the biases are its own
+    flags['known'][0] = True  # offsets are relative to the first IMU
     floats['window'][:] = -4.0 * QUICK  # as in compare_anew
     return Book(**floats, **flags, **stamps, **counts, stamps=np.zeros((n, KEPT), dtype=np.int64),
                  sample=np.zeros((1, 7)), said=np.zeros((16, 6)), said_count=np.zeros(1, dtype=np.int64),
@@ -93,14 +94,15 @@ def book_of(n: int, values: dict) -> Book:
 
 @njit
 def keep(book, i, stamp, value, dt):
-    """A sample that is believed: among those kept, and in what is known of their interval and noise."""
+    """Keep a valid sample of IMU i, and update interval and noise of this IMU. value (6,). dt: s since the one before.
+    """
     if book.kept[i] > 0 and 0.0 < dt * 1e9 < book.max_gap:
         book.interval[i] += (0.1 if book.interval[i] > 0.0 else 1.0) * (dt - book.interval[i])
         step = value - book.values[i, (book.kept[i] - 1) % KEPT]
         for half in range(2):
             density = (step[3 * half:3 * half + 3]**2).sum() / 6.0 * dt
             book.now[i, half] += max(min(1.0, dt / QUICK), 1.0 / book.kept[i]) * (density - book.now[i, half])
-            if book.kept[i] * dt > WINDOW:  # it grows by e in SLOW: noise that goes again is not usual
+            if book.kept[i] * dt > WINDOW:  # bounded: the usual noise grows by e in SLOW at most
                 density = min(density, 2.0 * book.noise[i, half])
             book.noise[i, half] += max(min(1.0, dt / SLOW), 1.0 / book.kept[i]) * (density - book.noise[i, half])
     book.stamps[i, book.kept[i] % KEPT] = stamp
@@ -110,14 +112,16 @@ def keep(book, i, stamp, value, dt):
 
 @njit
 def patience(book, i):
-    """s without a sample of IMU i that are no silence."""
+    """Longest time without a sample of IMU i, s, in which it does not count as silent."""
     return max(SILENT, SILENT_INTERVALS * book.interval[i])
 
 
 @njit
 def compare_anew(book, j, begin):
-    """IMU j is not averaged till a window, which begins at `begin` s and when QUICK has settled, has shown that it
-    agrees."""
+    """Do not average IMU j until a new window has shown that it agrees with the leading one.
+
+    begin: s, 0 or negative: the window begins -begin s from now, after QUICK has settled.
+    """
     book.averaged[j] = book.returns[j] = False
     book.window[j], book.count[j], book.held_count[j], book.compared_at[j] = begin - 4.0 * QUICK, 0.0, 0.0, -1
     book.quick[j], book.held[j] = 0.0, 0.0
@@ -125,7 +129,7 @@ def compare_anew(book, j, begin):
 
 @njit
 def say(book, code, i, first, second, third):
-    """Note a message on IMU i, for `Imus._worded`; the leading IMU and three numbers go with it."""
+    """Add a message about IMU i, with the leading IMU and three numbers, for `Imus._worded`."""
     row = book.said[min(book.said_count[0], len(book.said) - 1)]
     row[0], row[1], row[2], row[3], row[4], row[5] = code, i, book.leader[0], first, second, third
     book.said_count[0] = min(book.said_count[0] + 1, len(book.said))

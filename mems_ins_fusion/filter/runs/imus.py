@@ -1,12 +1,13 @@
-"""Several IMUs made one stream of samples, before the filter: live, one message at a time, and of a recording.
+"""Several IMUs combined to one stream of samples for the filter: live, one message at a time, and of a recording.
 
 One of them leads (`imu_lead`): the first in the order of preference (`imu_topic`, then those of `inputs`) that gives
-samples which can be believed. The filter is fed at its stamps.
+valid samples. The filter gets samples with its stamps.
 
-Another IMU is a fallback and no more until it has agreed with the leading one while the vehicle moved
-(`imu_comparison`). From then on half of their difference (of two that are equally noisy) is added, taken at the stamp
-of the other between two samples of the leading one, so that what both measure is not late. Its mean over WINDOW is
-taken out: to the filter the biases are those of the first one whoever leads, and one that comes or goes is no jump.
+Another IMU only replaces a leading one that fails, until both have agreed while the vehicle moved (`imu_comparison`).
+From then on the difference to the leading IMU, times its weight (one half for two IMUs with the same noise), is added
+to the samples. The difference is computed at the stamp of the other IMU, with the leading one interpolated, so that the
+average is not delayed. The mean of the difference over WINDOW is subtracted: the biases in the samples are always those
+of the first IMU, and do not jump when an IMU fails or returns.
 """
 from __future__ import annotations
 
@@ -28,8 +29,8 @@ from .tally import Tally
 
 
 class Imus:
-    """What the IMUs of the checked parameters `values` say, as one. Those of `inputs` are numbered from 1, the one of
-    `imu_topic` is 0."""
+    """The IMUs of the checked parameters `values` as one stream. The IMU of `imu_topic` has the number 0, those of
+    `inputs` are numbered from 1."""
 
     def __init__(self, values: dict):
         named = imus(values)
@@ -39,7 +40,7 @@ class Imus:
         self.tallies = {name: Tally() for name in self.names}
         #: by name, what is wrong with an IMU now: level and text
         self.found: dict[str, tuple[str, str]] = {}
-        # what an IMU beside the first would measure there; None of one that is there
+        # functions that convert samples to the place of the first IMU; None for an IMU without a lever arm
         self._arms = [AccelerometerLeverArm().corrector({'imu.lever_arm': settings.arm},
                                                         mounting(values['imu.mounting_rpy']))
                       for settings in self.settings]
@@ -56,14 +57,17 @@ class Imus:
         return int(self._book.leader[0])
 
     def notices(self) -> list[Notice]:
-        """What has happened since the last call."""
+        """Messages to the user since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
     def prepared(self, i: int, stamp: np.ndarray, force: np.ndarray, rate: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray]:
-        """Stamps (n,) ns by the clock, and samples (n, 6) SI in the axes and at the place, of the first IMU, of what
-        messages of IMU i say: stamp (n,) ns, force and rate (n, 3). Of the first one they are SI already."""
+        """Messages of IMU i converted to the clock, axes, place and units of the first IMU.
+
+        stamp (n,): ns. force, rate (n, 3): in sensor axes and the units of the messages (of the first IMU: SI). Returns
+        stamps (n,), ns, and samples (n, 6): specific force, m/s^2, and angular rate, rad/s.
+        """
         if i == 0:
             return stamp, np.column_stack([force, rate])
         settings, arm = self.settings[i - 1], self._arms[i - 1]
@@ -78,7 +82,8 @@ class Imus:
         return stamp, values
 
     def add(self, i: int, stamp: int, force, rate) -> list[tuple[int, tuple[float, ...]]]:
-        """One message of IMU i as for `prepared`; the samples to hand on, each a stamp and six numbers."""
+        """Take one message of IMU i (arguments as for `prepared`). Returns the samples to hand on: stamp, six numbers.
+        """
         stamps, values = self.prepared(i, np.array([stamp], dtype=np.int64), np.array([force], dtype=float),
                                        np.array([rate], dtype=float))
         self._source[0] = i
@@ -90,7 +95,7 @@ class Imus:
         return [(int(self._out_stamps[row]), tuple(self._out[row].tolist())) for row in range(count)]
 
     def warm_up(self) -> None:
-        """Compile or load what is compiled now, so that the first message is not late."""
+        """Compile or load the compiled code now, so that the first message is not delayed."""
         take_all(self._book, self._source[:0], self._origin[:0], self._out[:0], 0, self._out_stamps, self._out,
                  self._origin, self._faults, 0)
 
@@ -102,8 +107,10 @@ class Imus:
             tally.use(math.nan)
 
     def of_recording(self, imu: ImuSamples, others: dict[str, ImuSamples]) -> ImuSamples:
-        """All samples of a recording as one stream: `imu` of imu_topic, SI, and others by name as their messages have
-        them. Its temperature is not set."""
+        """All samples of a recording as one stream, without temperature.
+
+        imu: samples of imu_topic, SI. others: samples of the other IMUs by name, in the units of their messages.
+        """
         sources = [imu, *(others[name] for name in self.names[1:])]
         ready = [self.prepared(i, one.stamp, one.specific_force, one.angular_rate) for i, one in enumerate(sources)]
         source = np.repeat(np.arange(len(sources)), [len(one) for one in sources])
@@ -143,22 +150,22 @@ class Imus:
             return Notice('warning', f'{other}: {why}: the samples of {topic} are used from now on')
         if code == LEADS:
             self.found.pop(self.names[i], None)
-            return Notice('info', f'{topic}: samples are taken at its stamps again, instead of those of {other}')
+            return Notice('info', f'{topic}: leads again, samples are taken at its stamps instead of those of {other}')
         if code == AVERAGED:
             self.found.pop(self.names[i], None)
             offset = self._book.offset[i] - self._book.offset[leader]
             how = (f'agrees with {other}, but comes {numbers[0]:.2f} s later: used only without it' if numbers[1] else
                    f'averaged with {other} from now on')
-            return Notice('info', f'{topic}: {how}; it is more by {_listed(offset[:3])} m/s^2 and '
+            return Notice('info', f'{topic}: {how}; its constant difference is {_listed(offset[:3])} m/s^2 and '
                                   f'{_listed(offset[3:])} rad/s')
         if code == CHANGED:
-            return Notice('warning', f'{topic}: it differs from {other} by another constant than before, '
-                                     f'{_component(int(numbers[0]), numbers[1])} more: other biases')
+            return Notice('warning', f'{topic}: its constant difference to {other} has changed by '
+                                     f'{_component(int(numbers[0]), numbers[1])}: its biases have changed')
         if code == DIFFERS:
-            text = (f'it differs from {other} by {_component(int(numbers[0]), numbers[1])}, by chance up to '
+            text = (f'it differs from {other} by {_component(int(numbers[0]), numbers[1])}, noise explains '
                     f'{numbers[2]:.2g}: not averaged')
-            self.found[self.names[i]] = 'warning', f'{text}, {other} is believed'
-            return Notice('warning', f'{topic}: {text}, {other} is believed')
+            self.found[self.names[i]] = 'warning', f'{text}, {other} is used alone'
+            return Notice('warning', f'{topic}: {text}, {other} is used alone')
         self.found.pop(self.names[i], None)
         text = f'it has become more than {NOISIER:g} times as noisy, {topic} has not'
         self.found[self.names[leader]] = 'warning', f'{text}; the samples are those of {topic}'
@@ -166,8 +173,10 @@ class Imus:
 
 
 def as_one(recording: Recording, values: dict) -> tuple[Recording, list[str]]:
-    """`recording` with the samples of all IMUs that the checked parameters `values` name as one stream, that of
-    imu_topic in SI units; and what is to be said of them. As it is where there is one."""
+    """`recording` with the samples of all IMUs in the checked parameters `values` as one stream, and the warnings.
+
+    Samples of imu_topic are in SI units. With a single IMU the recording is returned unchanged.
+    """
     several = Imus(values)
     names = several.names[1:]
     if not names:
@@ -188,6 +197,6 @@ def _listed(values) -> str:
 
 
 def _turned(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """`vectors` (n, 3) turned by `rotation` (3, 3), written out: the same bits for one sample and for many."""
+    """`vectors` (n, 3) rotated by `rotation` (3, 3). Written out, so that one sample gives the same bits as many."""
     return np.stack([row[0] * vectors[:, 0] + row[1] * vectors[:, 1] + row[2] * vectors[:, 2] for row in rotation],
                     axis=1)

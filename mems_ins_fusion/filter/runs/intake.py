@@ -1,4 +1,4 @@
-"""Validity of samples and measurements, for the live filter and for whole recordings, with messages on the others."""
+"""Checks of samples and measurements for the live filter and for whole recordings, with messages on invalid ones."""
 from __future__ import annotations
 
 import re
@@ -14,13 +14,16 @@ from ..config import FilterConfig
 from ..memory import Event, Kind
 from ..start.start import DATUM_FIXES, first_place
 
-#: numbers, which are removed from reasons so that equal ones are counted together
+#: numbers in a reason; they are removed so that equal reasons are counted together
 _NUMBER = re.compile(r'[-+]?\b(?:nan|inf|\d[\d.]*(?:e[-+]?\d+)?)\b')
-JUMP_COUNT = 5  # samples in a row, out of order with the earlier ones, after which the clock is taken to have jumped
-#: s: a measurement stamped this much after the newest IMU sample is of another clock; the kernel checks more closely
+#: number of samples in a row with ascending stamps that do not follow the earlier ones, after which the clock has
+#: jumped
+JUMP_COUNT = 5
+#: s: a measurement whose stamp is later than the newest IMU sample by more has the stamp of another clock. Only against
+#: wrong clocks: the kernel applies the limit config.AHEAD
 LATEST = 5.0
 GOOD, NOT_FINITE, NOT_FOLLOWING, JUMPED = 0, 1, 2, 3  # codes of IMU samples by `follow`
-#: codes of measurements that are not used: no valid value, the stamp of the one before, stamped ahead of the IMU, late
+#: codes of measurements that are not used: no valid value, same stamp as the one before, ahead of the IMU, too late
 NO_MEASUREMENT, TWIN, STAMPED_AHEAD, STAMPED_LATE = 1, 2, 3, 4
 
 
@@ -36,10 +39,10 @@ class Notice:
 def follow(state, stamp, values, restart_gap, step_back, codes):
     """Check IMU samples for finite values and ascending stamps; the result is written to codes (n,).
 
-    state (3,) int64: last valid stamp, stamp of the newest sample after a possible jump, and number of these; kept
-    between calls, -1 at first. stamp (n,) ns. values (n, 6). restart_gap: ns. step_back: ns; after a smaller step back
-    of the clock, as by NTP or PTP, samples are dropped until their stamps pass the last valid one. JUMPED: valid, but
-    the filter must restart.
+    state (3,) int64: last valid stamp, stamp of the newest sample after a possible jump, and number of such samples;
+    kept between calls, -1 at first. stamp (n,) ns. values (n, 6). restart_gap: ns. step_back: ns; after a smaller step
+    back of the clock, as by NTP or PTP, samples are dropped until their stamps pass the last valid one. The code JUMPED
+    means that the sample is valid, but the filter must restart.
     """
     for i in range(len(stamp)):
         total = 0.0
@@ -66,11 +69,11 @@ def follow(state, stamp, values, restart_gap, step_back, codes):
 
 @njit(_nrt=False)
 def check_stamps(records, stamp, newest, last, late, epoch, latest, most_ahead, codes):
-    """Check the stamps of measurements and write their times to the records. The last valid stamp.
+    """Check the stamps of measurements and write their times to the records. Returns the last valid stamp, ns.
 
     records (n, Event.SIZE). stamp (n,) ns. newest (n,): ns, stamp of the last IMU sample before each. last: ns, last
-    valid stamp before; -1: none. late: ns, by which the stamps are late. epoch: ns. latest, most_ahead: s, by which a
-    measurement may be before and after the newest sample. codes (n,): 0 where a measurement is valid, also the output.
+    valid stamp before these; -1: none. late: ns, time offset of the stamps. epoch: ns. latest, most_ahead: s by which a
+    measurement may be older and newer than the newest sample. codes (n,), input and output: 0 for a valid measurement.
     """
     for i in range(len(records)):
         if codes[i] != 0:
@@ -100,7 +103,8 @@ class Intake:
         self._step_back = round(config.imu.max_gap * 1e9)
         # computed once: these properties are too slow for each message
         self._latest, self._offsets = config.latest, {kind: config.time_offset_of(kind) for kind in config.inputs}
-        self._ahead = dict.fromkeys(config.inputs, (0, 0))  # stamps of the last measurement ahead, and of the IMU then
+        # stamp of the last measurement that was ahead of the IMU, and the stamp of the newest IMU sample at that time
+        self._ahead = dict.fromkeys(config.inputs, (0, 0))
         #: reason of the latest refusal by `measured`, without numbers
         self.refusal = ''
         #: s that the newest message has waited in queues: its delay minus the smallest delay
@@ -172,7 +176,7 @@ class Intake:
         return used, records
 
     def _explain(self, kind: int, codes, stamp, newest, late: int, reasons: dict, warnings: dict) -> None:
-        """A message on each measurement that is not used, or has a warning."""
+        """Report each measurement that is not used, or has a warning."""
         topic = self.topic(kind)
         for i in np.flatnonzero(codes == TWIN).tolist():
             reasons[i] = f'header.stamp {stamp[i] * 1e-9:.6f} s came twice: second {self.name(kind)} dropped'
@@ -212,7 +216,7 @@ class Intake:
 
 
 def first_datum(config: FilterConfig, imu: ImuSamples, fixes: Fixes) -> np.ndarray | None:
-    """Origin (rad, rad, m) of the local frame of a live filter with these inputs; None where no fix is valid."""
+    """Origin (rad, rad, m) of the local frame that a live filter has with these inputs; None without a valid fix."""
     if config.datum is not None:
         return config.datum
     order = np.argsort(fixes.received, kind='stable')

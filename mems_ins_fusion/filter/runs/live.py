@@ -1,5 +1,5 @@
-"""The live filter: takes IMU samples and measurements one at a time, as they arrive. Its numbers are those of `replay`,
-bit for bit. What is reported of it is in status.py."""
+"""The live filter: takes IMU samples and measurements one at a time, as they arrive. Its results equal those of
+`replay` bit for bit. status.py reports its state."""
 from __future__ import annotations
 
 import math
@@ -32,10 +32,10 @@ from .status import VERDICTS, FilterStatus
 from .tally import Tally
 from .vehicle_check import ADRIFT, found_mounting, found_time_offsets, vehicle_warnings
 
-_CHECK_PERIOD = 5 * 10**9  # ns between two checks whether the vehicle contradicts the parameters; each takes 0.1 ms
-_MESSAGE_PERIOD = 60 * 10**9  # ns from such a message to the next check
-UNKNOWN_SPEED_SIGMA = 15.0  # m/s, standard deviation of a speed that nothing has measured
-#: parameters that may change while the filter runs, and the columns of those that the kernel uses
+_CHECK_PERIOD = 5 * 10**9  # ns between two checks (vehicle_check.py); each takes 0.1 ms
+_MESSAGE_PERIOD = 60 * 10**9  # ns from a message of this check to the next check
+UNKNOWN_SPEED_SIGMA = 15.0  # m/s, standard deviation of an unknown speed: a car on any road
+#: parameters that may change while the filter runs, and the columns of the head that depend on them
 CHANGEABLE = ('gnss.gate_probability', 'gnss.robust_sigma', 'gnss.recovery_time', 'gnss.adapt_sigma',
               'gnss.outage_after', 'vehicle.zero_velocity', 'vehicle.zero_velocity_sigma', 'vehicle.non_holonomic',
               'vehicle.non_holonomic_sigma', 'vehicle.non_holonomic_vertical_sigma')
@@ -44,8 +44,8 @@ _CHANGED = (Head.GATE, Head.ROBUST_SIGMA, Head.RECOVERY_TIME, Head.ADAPT, Head.C
 
 
 class Judgement(NamedTuple):
-    """What the filter did with one measurement. stamp: ns. kind: name of the input. weight: factor on the inverse
-    covariance, 0 to 1. reason: in words. innovation: predicted minus measured, m, m/s or rad."""
+    """What the filter did with one measurement. stamp: ns. kind: name of the input. weight: factor on the inverse of
+    its covariance, 0 to 1. reason: in words. innovation: predicted minus measured, m, m/s or rad."""
 
     stamp: int
     kind: str
@@ -83,7 +83,7 @@ class FusionFilter(FilterStatus):
         self.reset()
 
     def reset(self) -> None:
-        """Align anew; only the datum stays."""
+        """Discard everything but the datum, and align again."""
         self._alignment = Alignment(self.config)
         self._memory: np.ndarray | None = None
         self._provisional: np.ndarray | None = None  # memory of a filter without a heading,
@@ -98,7 +98,7 @@ class FusionFilter(FilterStatus):
         #: counts of each input, by its name
         self.tallies = {name: Tally() for name in ('imu', *(one.name for one in self.config.inputs.values()))}
         self._said_faults = bytes(8 * Fault.SIZE)  # the counts as bytes, which are quick to compare
-        self._starts = 0.0, 0.0  # of the published state: after one that was not finite, and from refused fixes
+        self._starts = 0.0, 0.0  # Nav.RESTARTS and Nav.RECOVERIES of the published state, as reported so far
         self._last_gap, self.gaps = 0.0, 0
         self._last_fault = self._last_recovery = -math.inf
         self._fault = ''
@@ -106,12 +106,12 @@ class FusionFilter(FilterStatus):
         self._next_look = 0  # ns: time of the next check whether the vehicle contradicts the parameters
         self._said: list[str] = []  # messages of the last check
         self._said_mounting = False
-        self._said_late: set[int] = set()  # inputs whose time offset was said
+        self._said_late: set[int] = set()  # numbers of the inputs whose time offset was reported
 
     def changed(self, values: dict) -> FilterConfig:
         """The configuration with those of the checked `values` that are CHANGEABLE.
 
-        ParameterError where the running filter cannot take them.
+        Raises ParameterError where the running filter cannot take them.
         """
         values = {name: value for name, value in values.items() if name in CHANGEABLE}
         config = FilterConfig.from_parameters({**self.config.parameters, **values})
@@ -124,7 +124,7 @@ class FusionFilter(FilterStatus):
         return replace(config, extras=self.config.extras)  # states that are no longer needed stay
 
     def adopt(self, config: FilterConfig) -> None:
-        """Go on with `config`, which `changed` has returned."""
+        """Use `config`, which `changed` has returned, from now on."""
         self.config = config
         self._outage_after = round(config.gnss.outage_after * 1e9)
         settings = config.memory()[list(_CHANGED)]
@@ -134,11 +134,12 @@ class FusionFilter(FilterStatus):
                     one[list(_CHANGED)] = settings
 
     def use_fixes(self, use: bool) -> None:
-        """Whether fixes and measurements of the antenna are used from now on."""
+        """Switch the use of fixes and other measurements from satellites on or off."""
         self._using_fixes = use
 
     def add_imu(self, stamp: int, f_x, f_y, f_z, w_x, w_y, w_z, q_x=0.0, q_y=0.0, q_z=0.0, q_w=0.0) -> bool:
-        """One IMU sample, sensor axes: specific force m/s^2, angular rate rad/s. True when there is a new estimate.
+        """Take one IMU sample, sensor axes: specific force m/s^2, angular rate rad/s. True when there is a new
+        estimate.
 
         The quaternion is `Imu.orientation`, zero where the driver has none.
         """
@@ -186,7 +187,7 @@ class FusionFilter(FilterStatus):
         return True
 
     def _filter(self, memory, samples, events, arrival) -> int:
-        """Samples and measurements through the kernel; its answer to the measurement."""
+        """Pass samples and measurements to the kernel; returns its answer to the measurement."""
         kernel.run(memory, samples, events, arrival, self._answer, self._columns, self._none, self._states,
                    self._log)
         return int(self._answer[0])
@@ -199,7 +200,7 @@ class FusionFilter(FilterStatus):
             self.say('warning', f'{self.config.imu.temperature_topic}: temperature {celsius}: dropped')
 
     def add_fix(self, stamp: int, latitude, longitude, height, covariance, status=0, covariance_type=2) -> None:
-        """One fix of the antenna: rad, m; covariance: nine numbers, east-north-up, as in `NavSatFix`."""
+        """Take one fix of the antenna: rad, m; covariance: nine numbers, east-north-up, as in `NavSatFix`."""
         if self._using_fixes:
             fix = self._fix
             fix.stamp[0], fix.latitude[0], fix.longitude[0], fix.height[0] = stamp, latitude, longitude, height
@@ -208,7 +209,8 @@ class FusionFilter(FilterStatus):
             self._add(Kind.POSITION, fix)
 
     def add(self, name: str, stamp: int, *numbers) -> None:
-        """One measurement of the input `name`; numbers: the fields of its samples (`Measurement.samples`), in order."""
+        """Take one measurement of the input `name`; numbers: fields of its samples (`Measurement.samples`), in order.
+        """
         measurement = next(m for m in self.config.inputs.values() if m.name == name)
         if self._using_fixes or not measurement.of_antenna:
             stamps, values = np.array([stamp], dtype=np.int64), (np.array([number], dtype=float) for number in numbers)
@@ -216,7 +218,7 @@ class FusionFilter(FilterStatus):
 
     def _add(self, kind: int, samples) -> None:
         stamp = int(samples.stamp[0])
-        if self._epoch is None:  # nothing to compare it with yet
+        if self._epoch is None:  # no IMU sample yet
             return
         used, records = self.measured(kind, samples, self._follow[:1], self._epoch)
         tally = self.tallies[self.name(kind)]
@@ -298,9 +300,9 @@ class FusionFilter(FilterStatus):
         return None if self._memory is None else make_snapshot(self.config, self._memory, self._now)
 
     def restore(self, snapshot: dict, max_distance: float) -> str:
-        """Start from a snapshot, if the vehicle has not moved since; max_distance: m, from its position.
+        """Start from a snapshot, if the vehicle has not moved since; max_distance: m, from the saved position.
 
-        Returns what is used of it, in words; ValueError where `snapshot` is not one.
+        Returns in words which parts are used. Raises ValueError where `snapshot` is not one.
         """
         if self._memory is not None or self._epoch is None:
             raise ValueError('the filter has started already, or has no IMU sample yet')
@@ -328,7 +330,7 @@ class FusionFilter(FilterStatus):
             tally, misfit = self.tallies[measurement.name], record[Event.NIS] / measurement.components
             if used:
                 tally.use(misfit)
-            elif verdict != Verdict.AWAITED:  # that is usual at the beginning of a drive
+            elif verdict != Verdict.AWAITED:  # this verdict is usual at the beginning of a drive
                 tally.refuse(stamp, VERDICTS[verdict], misfit if verdict == Verdict.REFUSED else math.nan)
                 self.say('warning', f'{self.topic(kind)}: {self._refusal(kind, verdict, stamp, record)}')
             if kind == Kind.POSITION:
@@ -359,7 +361,7 @@ class FusionFilter(FilterStatus):
             self.say('info', f'fixes on {topic} again')
 
     def update_odometry(self) -> int:
-        """Fill `odometry`, `geodetic` and `position_covariance_enu` for the newest estimate; its stamp in ns."""
+        """Write the newest estimate to `odometry`, `geodetic` and `position_covariance_enu`; returns its stamp, ns."""
         odometry(self._estimating, self.datum, self._height_sigma, self.odometry, self.geodetic,
                  self.position_covariance_enu)
         if self._memory is None:
@@ -368,7 +370,7 @@ class FusionFilter(FilterStatus):
         return self._now
 
     def warm_up(self) -> None:
-        """Compile or load the kernel now, so that the first message is not late."""
+        """Compile or load the kernel now, so that the first message is not delayed."""
         memory = self.config.memory()
         start, datum = Start(0.0, 0.0, 0.0, 0.0, np.zeros(2), 0.0, np.eye(5), None), np.zeros(3)
         initialize(memory, self.config, start)

@@ -17,7 +17,8 @@ def published(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aidin
               keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Stamps (k,) ns and `odometry` (k, SIZE) after each of the samples `keep` (n,) bool.
 
-    datum: latitude, longitude (rad), height of the origin. Before the heading is known, that of the provisional filter.
+    datum: latitude, longitude (rad), height of the origin. Until the heading is known, the odometry is that of the
+    provisional filter.
     """
     work = _Publishing(config, imu, fixes, aiding, None, keep)
     work.datum = np.array(datum, dtype=float)
@@ -84,16 +85,16 @@ class _Publishing(Replay):
 
     def _filter(self, memory, samples, index, events: Events, epoch: int) -> None:
         events.record[:, Event.ID] = np.arange(len(events.kind))
-        first = self._length - len(index)  # the start is of the time of its fix, but known only when that has arrived
+        first = self._length - len(index)  # the start describes the time of its fix, but the fix arrived later
         self._ask(memory, samples, index, events, first, max(self._aligned - first, 0)).finish(memory)
         self.height_sigma = np.append(self._heights[1], self.height_sigma)[len(self._heights[0]) - 1]
 
     def _ask(self, memory, samples, index, events: Events, first: int, silent: int = 0,
              without_heading: Start | None = None) -> Playback:
-        """Samples with their indices through the kernel, and the odometry after each that is kept.
+        """Pass samples with their indices to the kernel, and compute the odometry after each sample that is kept.
 
-        first: number of the first of them. silent: number of samples before the first output. without_heading: the
-        start of a provisional filter.
+        first: number of the first sample. silent: number of samples before the first output. without_heading: the start
+        of a provisional filter.
         """
         kept = np.flatnonzero(self.keep[index])
         kept = kept[kept >= silent]

@@ -31,9 +31,11 @@ from ..trust.white_noise import density
 
 #: first indices in the vector that `odometry` fills, and its size
 POSITION, ORIENTATION, POSE_COVARIANCE, LINEAR, ANGULAR, TWIST_COVARIANCE, SIZE = 0, 3, 7, 43, 46, 49, 85
-#: rad, standard deviation of roll and pitch, which the planar mechanization does not estimate: road slopes
+#: rad, published standard deviation of roll and pitch with the planar mechanization, which does not estimate them: road
+#: slopes. Chosen, not measured
 PLANAR_TILT_SIGMA = 0.05
-PLANAR_VERTICAL_SIGMA = 0.5  # m/s, standard deviation of the vertical velocity, which it does not estimate either
+#: m/s, published standard deviation of the vertical velocity with the planar mechanization. Chosen, not measured
+PLANAR_VERTICAL_SIGMA = 0.5
 
 
 @njit
@@ -44,8 +46,10 @@ def estimated(row, r, rows, error):
 
 @njit
 def corrected(row, r, rows, open_loop):
-    """Latitude, longitude, height, v_n, v_e, v_d and the quaternion from b to n of the state at r; open loop: minus the
-    estimated errors x. rows (9,): `StateLayout.rows`."""
+    """Latitude, longitude (rad), height (m), v_n, v_e, v_d (m/s) and the quaternion from b to n of the state at r.
+
+    In open loop the estimated errors x are subtracted. rows (9,): `StateLayout.rows`.
+    """
     if rows[Error.PHI_N] < 0:
         q = (math.cos(0.5 * row[r + Nav.YAW]), 0.0, 0.0, math.sin(0.5 * row[r + Nav.YAW]))
     else:
@@ -66,8 +70,11 @@ def corrected(row, r, rows, open_loop):
 
 @njit(_nrt=False)
 def added_covariance(row, r, i, j):
-    """Term added to P in the published covariance of the state at row[r], element (i, j) of position and velocity
-    (n, e; n, e): slow errors of the receiver (trust/receiver.py), and the second hypothesis (trust/hypotheses.py)."""
+    """Term that is added to P in the published covariance of the state at row[r]: element (i, j) of r_n, r_e, v_n, v_e.
+
+    It contains the slow errors of the receiver (trust/receiver.py) and the difference to the second filter
+    (trust/hypotheses.py).
+    """
     apart = spread(row, r)
     lasting = row[r + Nav.LASTING] if i == j and i < 2 else 0.0
     return lasting + apart[i] * apart[j]
@@ -90,10 +97,10 @@ def published_covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
 
 
 def widen_without_heading(start, datum, out: np.ndarray, geodetic: np.ndarray, geodetic_covariance: np.ndarray) -> None:
-    """Change an `odometry`, in place, to what may be published while the heading is unknown.
+    """Change an `odometry`, in place, to one that may be published while the heading is unknown.
 
-    The filter is linear in the error of the heading, which here may be anything. So the position stays that of `start`
-    (a `Start`), and the distance that the sensors saw since is added to its standard deviation in both directions.
+    The filter is linear in the heading error, which may be of any size here. So the position is set to that of `start`
+    (a `Start`), and the distance that the filter has moved since is added to its standard deviation in both directions.
     """
     north, east, down = to_local(start.latitude, start.longitude, start.height, datum)
     distance = math.hypot(out[0] - east, out[1] - north)
@@ -107,7 +114,8 @@ def widen_without_heading(start, datum, out: np.ndarray, geodetic: np.ndarray, g
 def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     """The newest state as odometry.
 
-    datum: (3,) latitude, longitude (rad), height. height_sigma: m, of the planar mechanization, which has no height.
+    datum: (3,) latitude, longitude (rad), height. height_sigma: m, used with the planar mechanization, which does not
+    estimate the height.
     Outputs: out (SIZE,): position ENU; orientation x, y, z, w of base_link (FLU) in ENU; pose covariance 6 x 6; linear
     and angular velocity in base_link; twist covariance 6 x 6. geodetic (3,), geodetic_covariance (9,) ENU. Returns the
     time of the state, s.
@@ -182,7 +190,7 @@ def _enu(i):
 
 @njit
 def _orientation(q, out):
-    """Quaternion from b (FRD) to n (NED) as base_link (FLU) to ENU: a half turn on each side."""
+    """Write the quaternion q from b (FRD) to n (NED) to `out` as that from base_link (FLU) to ENU."""
     half = math.sqrt(0.5)
     r = strapdown.multiply((0.0, half, half, 0.0), strapdown.multiply(q, (0.0, 1.0, 0.0, 0.0)))
     sign = 1.0 if r[0] >= 0.0 else -1.0

@@ -1,8 +1,9 @@
-"""Replay: a whole recording through the filter, with simulated outages.
+"""Replay: run the filter over a whole recording, with simulated outages.
 
-The same inputs in the order of their arrival give the same numbers as live, bit for bit. Up to the first measurement
-that is withheld, the run with an outage equals the ordinary run. So the filter is copied there, and the copy continues
-without these measurements: each outage is the only one in its run, and costs only its own duration.
+The same inputs in the order of their arrival give the same results as live, bit for bit. Up to the first measurement
+that is withheld, a run with an outage equals the ordinary run. So the filter is copied at that point, and the copy
+continues without the withheld measurements: each outage is the only one in its run, and takes only the time of its own
+duration.
 """
 from __future__ import annotations
 
@@ -70,7 +71,7 @@ class Constrained:
 
 def run_with_constraints(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding = Aiding(),
                          start: Start | None = None, keep: np.ndarray | None = None) -> tuple[Run, Constrained]:
-    """The same as `run`, and the innovations of the constraints."""
+    """`run`, and the innovations of the vehicle constraints."""
     work = Replay(config, imu, fixes, aiding, start, keep)
     work.constrained = [(np.empty(0, dtype=np.int64), np.empty((0, Sample.SIZE)))]
     found = work.run()
@@ -119,7 +120,7 @@ class Replay(Intake):
                        for kind, measurement in config.inputs.items()}
         #: numbers of the inputs that an outage withholds
         self.withheld = [kind for kind, measurement in config.inputs.items() if measurement.from_satellites]
-        # a measurement that arrived at the same time as a sample comes after it
+        # a measurement that arrived at the same time as a sample is processed after the sample
         self.arrival = {kind: np.searchsorted(imu.received, samples.received, side='right')
                         for kind, samples in self.inputs.items() if samples is not None}
         self.columns = columns(config.layout)
@@ -133,7 +134,7 @@ class Replay(Intake):
 
     def run(self) -> Run:
         segments = self._segments()
-        self.saved: SavedState | None = None  # of the previous stretch
+        self.saved: SavedState | None = None  # state at the end of the previous stretch
         ends = [kept[0] for kept in segments[1:]] + [np.iinfo(np.int64).max]
         correctors = self.config.correctors()
         for kept, end in zip(segments, ends):
@@ -202,7 +203,8 @@ class Replay(Intake):
                        np.zeros(len(order), dtype=np.int64))
 
     def _align(self, kept, samples, events: Events, saved: SavedState | None) -> tuple[Start | None, int]:
-        """The start, and the number of events up to it. saved: state of the previous stretch."""
+        """The start (None: the filter does not start), and the number of events up to it. saved: state of the previous
+        stretch."""
         fixes = np.flatnonzero(events.kind == Kind.POSITION)
         if self.given is not None and self.start is None:
             start = remeasured(self.given, self.config, samples)
@@ -230,7 +232,7 @@ class Replay(Intake):
         return Alignment(self.config)
 
     def _filter(self, memory, samples, index, events: Events, epoch: int) -> None:
-        """Samples (k, 7) with their indices, and events, through the kernel; outages as copies of the filter."""
+        """Pass samples (k, 7) with their indices, and events, to the kernel; run outages in copies of the filter."""
         kept = np.flatnonzero(self.keep[index])
         states = np.empty((len(kept), len(self.columns)))
         time = samples[:, 0]
@@ -269,10 +271,10 @@ class Replay(Intake):
             self.constrained.append((index[begin:end][applied], rows[applied]))
 
     def _branch(self, memory, work: Playback, begin: float, withheld, spare) -> tuple[slice, np.ndarray]:
-        """One outage, from the present position of `work`: which of the kept states it covers, and these states. spare:
-        room for a filter.
+        """Run one outage from the present position of `work`. spare: room for a copy of the filter.
 
-        They include one before the begin and one after the end, to interpolate between.
+        Returns which of the kept states the outage covers, and these states, with one before its begin and one after
+        its end, so that states in between can be interpolated.
         """
         time = work.samples[work.kept, 0]
         first = int(np.searchsorted(time, begin, side='right')) - 1
@@ -288,15 +290,16 @@ class Replay(Intake):
         return slice(first, stop), coasted
 
     def _sum_up(self) -> None:
-        """One message for each reason for which measurements were refused, and those on IMU and vehicle."""
+        """Add one message for each reason for which measurements were refused, and the messages on IMU and vehicle."""
         measured = self.measured_all
         for kind in self.arrival:
             counts = measured.verdicts(kind)
             total = sum(counts.values())
             for verdict, why in ((Verdict.REFUSED, 'refused: they do not fit what the filter expects'),
                                  (Verdict.FROZEN, 'refused: they repeat themselves while the vehicle moves'),
-                                 (Verdict.STRAIGHT_ON, 'refused: the receiver goes straight on as without satellites'),
-                                 (Verdict.CONTRADICTED, 'refused: they add up to another way than the one between the '
+                                 (Verdict.STRAIGHT_ON, 'refused: the receiver extrapolates a straight line, as without '
+                                                       'satellites'),
+                                 (Verdict.CONTRADICTED, 'refused: their integral differs from the displacement between '
                                                         'fixes (a wrong unit, sign or axes, or a dead sensor)'),
                                  (Verdict.AHEAD, 'refused: stamped ahead of the IMU, the clocks differ '
                                                  '(gnss.time_offset)'),
@@ -335,8 +338,8 @@ class Replay(Intake):
 
 @dataclass(frozen=True)
 class Events:
-    """Measurements in the order of arrival: kind (number of the input), index among its samples, arrival (number of IMU
-    samples before it), record, and the kernel's answer."""
+    """Measurements in the order of arrival: kind (number of the input), index among the samples of the input, arrival
+    (number of IMU samples before it), record, and the kernel's answer."""
 
     kind: np.ndarray
     index: np.ndarray
@@ -349,13 +352,13 @@ class Events:
                        self.answer[index])
 
     def later(self, first: int, skip: int) -> Events:
-        """Those from `first` on, for a run without the first `skip` IMU samples."""
+        """The measurements from number `first` on, for a run without the first `skip` IMU samples."""
         events = self.select(slice(first, None))
         return Events(events.kind, events.index, np.maximum(events.arrival - skip, 0), events.record, events.answer)
 
 
 class Playback:
-    """Position of the kernel in a recording. after: the run that this is a copy of."""
+    """Position of the kernel in a recording. after: the run of which this is a copy."""
 
     def __init__(self, samples, events: Events, names: np.ndarray, kept, states, after: Playback | None = None):
         self.samples, self.events, self.columns, self.kept, self.states = samples, events, names, kept, states
@@ -374,7 +377,7 @@ class Playback:
         self.states, self.first_row, self.next_row = states, row, row
 
     def advance(self, memory, stop: int) -> None:
-        """Process the samples before `stop`, and the events that arrived before that."""
+        """Process the samples before number `stop`, and the events that arrived before this sample."""
         kept = self.kept[self.next_row:np.searchsorted(self.kept, stop)]
         upto = int(np.searchsorted(self.events.arrival, stop))
         rows = slice(self.next_row - self.first_row, self.next_row - self.first_row + len(kept))
@@ -395,7 +398,7 @@ class Playback:
 
 
 def _announced(horizon: HorizonPredictor, memory: np.ndarray, begin: float) -> float:
-    """The trust horizon of a filter with this memory, s after `begin`; 0 where there is none."""
+    """The trust horizon of a filter with this memory, s after `begin`; 0 where the heading is unknown."""
     seconds = horizon.predict(memory).seconds
     return float(newest_row(memory)[Nav.TIME]) - begin + seconds if seconds > 0.0 else 0.0
 

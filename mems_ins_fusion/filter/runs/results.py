@@ -70,8 +70,9 @@ class Run:
     stamp (k,) ns. index (k,): index in the `ImuSamples` given. latitude, longitude (k,) rad, height (k,) m, velocity
     (k, 3) m/s in `n`, roll, pitch, yaw (k,) rad. sensor_errors (k, channels): estimates. sigma (k, n): square roots of
     the covariance's diagonal, in the order of `config.layout.names`. extras (k, e): the optional states. covariance_ne
-    (k,): of north and east position error, m^2. behind (k, 2): m north and east, lag of a receiver that smooths
-    (gnss.lag_per_acceleration). memory: the kernel's memory at the end. filter_seconds: CPU time of the filter alone.
+    (k,): of north and east position error, m^2. behind (k, 2): m north and east, by how much the receiver's smoothed
+    position lags (gnss.lag_per_acceleration). memory: the kernel's memory at the end. filter_seconds: CPU time of the
+    filter alone.
     """
 
     config: FilterConfig
@@ -151,7 +152,8 @@ def _solution(states, rows, open_loop):
 
 @njit
 def _widen(variances, velocity, rows):
-    """As `odometry.add_to_covariance`, for variances and the covariance of r_n and r_e; velocity: index of v_n."""
+    """Add the terms of `odometry.add_to_covariance` to the variances and the covariance of r_n and r_e, in place.
+    velocity: index of v_n."""
     where = (0, 1, velocity, velocity + 1)
     for k in range(len(rows)):
         for i in range(4):

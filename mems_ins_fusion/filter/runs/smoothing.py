@@ -34,19 +34,20 @@ AFTER = 60.0  # s after an outage whose measurements are used to smooth it
 
 def smoothed(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding = Aiding(),
              keep: np.ndarray | None = None) -> Run:
-    """As `replay.run`, with each state smoothed: sigmas and covariance are those of the smoothed state.
+    """`replay.run` with smoothed states, sigmas and covariance. Verdicts and innovations are those of the forward
+    filter.
 
-    keep: samples whose states are wanted, (n,) bool; intervals of a tenth of a second suffice. Verdicts and innovations
-    are those of the forward filter.
+    keep: samples whose states are kept, (n,) bool; intervals of a tenth of a second suffice.
     """
     return _Smoothing(config, imu, fixes, aiding, None, keep).run()
 
 
 def smoothed_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin: np.ndarray, duration: float,
                      aiding: Aiding = Aiding(), keep: np.ndarray | None = None) -> Coasting:
-    """The outages that begin at `begin` (o,) ns, smoothed: fixes are withheld for `duration` s and return after that.
+    """Smoothed outages, which begin at `begin` (o,) ns: fixes are withheld for `duration` s and are used again after
+    it.
 
-    As `replay.run_with_outages`, where outages last to the end of their run.
+    Other arguments and the result as for `replay.run_with_outages`, in which fixes do not return.
     """
     work = _SmoothedOutages(config, imu, fixes, aiding, None, keep, np.asarray(begin, dtype=np.int64), duration)
     work.run()
@@ -60,7 +61,7 @@ class _Rows:
         self.file, self.block, self.used, self.blocks = tempfile.TemporaryFile(), np.empty((BLOCK, width)), 0, 0
 
     def next(self) -> np.ndarray:
-        """Room for one more."""
+        """Room for one more row."""
         if self.used == BLOCK:
             self.file.write(self.block.data)
             self.used, self.blocks = 0, self.blocks + 1

@@ -2,8 +2,8 @@
 
 A snapshot is a dict for JSON: stamp (ns), latitude, longitude (rad), height (m), speed (m/s), yaw of the vehicle (rad,
 clockwise from north) and yaw_sigma; errors: names of the augmented states, estimate, covariance and constant part (see
-`start.SensorErrors`), and what they are left beside: the conditioning of the samples and the declared errors of the
-inputs; wheels: `wheel_vibration.calibration`, where there is one.
+`start.SensorErrors`), and the configured corrections to which the estimates are relative, namely the conditioning of
+the samples and the declared errors of the inputs; wheels: `wheel_vibration.calibration`, where there is one.
 """
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..start.initial import sensor_errors_after, sensor_errors_of
 from ..start.start import SavedState, SensorErrors
 from .odometry import corrected, published_covariance
 
-AT_REST = 0.5  # m/s: a vehicle that was faster at the snapshot was not at rest
+AT_REST = 0.5  # m/s, largest estimated speed at the snapshot of a vehicle that was at rest. Chosen, not measured
 PARKED_YAW_SIGMA = 0.02  # rad, standard deviation of the change of heading of a parked vehicle
 
 
@@ -55,16 +55,15 @@ def vehicle_heading(config: FilterConfig, memory: np.ndarray) -> tuple[float, fl
 
 
 def saved_at_jump(config: FilterConfig, memory: np.ndarray, before: int, now: int) -> SavedState:
-    """What the filter can restart with after the stamps of the samples have jumped from `before` to `now` (ns): a clock
-    was set, or a recording begins again. The duration of a jump back is unknown and counts as
-    zero."""
+    """State for a restart of the filter after the stamps of the samples have jumped from `before` to `now` (ns),
+    because a clock was set or a recording begins again. The duration of a jump back is unknown and counts as zero."""
     snapshot = {**make_snapshot(config, memory, before), 'stamp': min(before, now)}
     return from_snapshot(config, snapshot, now, config.parameters['state_file_max_distance'])[0]
 
 
 def from_snapshot(config: FilterConfig, snapshot: dict, now: int, max_distance: float) -> tuple[SavedState, str]:
-    """What a filter with `config` can use of `snapshot` at `now` (ns), and that in words. InputError where it is not a
-    snapshot."""
+    """The parts of `snapshot` that a filter with `config` can use at `now` (ns), and a description in words. Raises
+    InputError where `snapshot` is not one."""
     try:
         age = (now - snapshot['stamp']) * 1e-9
         position = tuple(float(snapshot[name]) for name in ('latitude', 'longitude', 'height'))
@@ -86,8 +85,8 @@ def from_snapshot(config: FilterConfig, snapshot: dict, now: int, max_distance: 
 
 
 def _errors(config: FilterConfig, values: dict) -> SensorErrors | None:
-    """The sensor errors of a snapshot; None where they are of a filter with other states, another mounting or other
-    declared errors: an offset that was found and then declared would count twice."""
+    """The sensor errors of a snapshot; None where they belong to a filter with other states, another mounting or other
+    declared errors: an offset that was estimated and then declared would be applied twice."""
     layout = config.layout
     names, conditioning = list(values['names']), np.array(values['conditioning'], dtype=float)
     if (names != list(layout.names[layout.n_navigation:]) or values.get('declared', []) != config.declared_errors

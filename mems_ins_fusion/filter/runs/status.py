@@ -1,4 +1,4 @@
-"""What is reported of a running filter: its state in words, messages to the user, and values for diagnostics."""
+"""Reports of a running filter: its state in words, messages to the user, and values for diagnostics."""
 from __future__ import annotations
 
 import math
@@ -22,16 +22,17 @@ from .vehicle_check import found_mounting, found_time_offsets, mounting_angles
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down',
             Verdict.REFUSED: 'does not fit what the filter expects',
             Verdict.FROZEN: 'repeats itself while the vehicle moves',
-            Verdict.STRAIGHT_ON: 'goes straight on as without satellites', Verdict.AHEAD: 'stamped ahead of the IMU',
-            Verdict.CONTRADICTED: 'not the way between the fixes',
-            Verdict.AWAITED: 'not compared with the way between the fixes yet',
+            Verdict.STRAIGHT_ON: 'extrapolated on a straight line, as without satellites',
+            Verdict.AHEAD: 'stamped ahead of the IMU',
+            Verdict.CONTRADICTED: 'its integral differs from the displacement between fixes',
+            Verdict.AWAITED: 'its integral has not been compared with the fixes yet',
             Verdict.RECOVERED: 'the filter restarted from it'}
-DEGRADED = 5.0  # s for which the state is `degraded` after an IMU sample that was not believed
-#: s for which the state is `recovering` after a restart from refused fixes: the heading is found again within that
+DEGRADED = 5.0  # s for which the state is `degraded` after a faulty IMU sample. Chosen, not measured
+#: s for which the state is `recovering` after a new start from refused fixes: the heading is found again in this time
 RECOVERING = 10.0
-#: realised over expected standard deviation of the innovations that is not by chance: the largest of 180 fault-free
-#: drives of 10 minutes was 1.72, and 2 % of them were above 1.5; with fixes stamped 0.8 s early each is above
-#: (studies/strain.py)
+#: realised over expected standard deviation of the innovations above which something is wrong. The largest of 180
+#: fault-free drives of 10 minutes was 1.72, and 2 % of them were above 1.5; with fixes stamped 0.8 s early all are
+#: above (studies/strain.py)
 STRAINED = 1.75
 #: m/s^2/sqrt(Hz), noise of the accelerometers that the fixes show, beyond which something is wrong: on measured and
 #: simulated drives without faults it is below 0.21
@@ -39,21 +40,21 @@ NOISY = 0.25
 
 
 class FilterStatus(Intake):
-    """Base class of the live filter (live.py), which sets what is read here."""
+    """Base class of the live filter (live.py), which sets the attributes that are read here."""
 
     @property
     def aligned(self) -> bool:
-        """Whether the heading is known: before that an estimate is one of the position alone."""
+        """Whether the heading is known. Before, only the position is estimated."""
         return self._memory is not None
 
     @property
     def has_estimate(self) -> bool:
-        """Whether there is an estimate, if only of the position."""
+        """Whether there is an estimate of the position at least."""
         return self._estimating is not None
 
     @property
     def status(self) -> str:
-        """What the filter does or waits for, in a few words."""
+        """In a few words, what the filter does or what it is waiting for."""
         if self._memory is None:
             tally = self.tallies['fix']
             if tally.steadily(tally.last, patient=False):
@@ -65,7 +66,7 @@ class FilterStatus(Intake):
 
     @property
     def contradicted(self) -> bool:
-        """Whether the filter cannot start as long as the parameters stay: the inputs contradict them."""
+        """Whether the filter cannot start because the inputs contradict the parameters."""
         if self._memory is not None:
             return False
         tally = self.tallies['fix']
@@ -124,15 +125,15 @@ class FilterStatus(Intake):
     def _refusal(self, kind: int, verdict: int, stamp: int, record) -> str:
         """Why a measurement was refused, in words and numbers."""
         if verdict == Verdict.FROZEN:
-            return f'the same {self.name(kind)} again while the vehicle moves: {self.name(kind)} refused'
+            return f'{self.name(kind)} repeats itself while the vehicle moves: refused'
         if verdict == Verdict.STRAIGHT_ON:
-            return 'fixes on a straight line, as of a receiver that goes on without satellites: fix refused'
+            return 'fixes on a straight line, as of a receiver that extrapolates without satellites: fix refused'
         if verdict == Verdict.CONTRADICTED and self.config.inputs[kind].kind == Kind.HEADING:
-            return (f'{self.name(kind)} is not where the vehicle goes by the fixes, as of antennas that are exchanged '
-                    f'or turned ({self.name(kind)}.offset) or iron nearby: refused')
+            return (f'{self.name(kind)} differs from the direction of travel between fixes, as with antennas that are '
+                    f'exchanged or turned ({self.name(kind)}.offset) or iron nearby: refused')
         if verdict == Verdict.CONTRADICTED:
-            return (f'{self.name(kind)} adds up to another way than the one between the fixes, as with a wrong unit, '
-                    'sign or axes, or a dead sensor: refused')
+            return (f'{self.name(kind)}: its integral differs from the displacement between fixes, as with a wrong '
+                    'unit, sign or axes, or a dead sensor: refused')
         if verdict == Verdict.AHEAD:
             missing = f'IMU samples are missing, {self._last_gap:.1f} s of them' if self._last_gap else (
                 'IMU samples come late, as on a busy machine')
@@ -158,7 +159,7 @@ class FilterStatus(Intake):
                                     f'{FAULTS[fault]}: sample not believed, bridged')
 
     def _say_new_starts(self) -> None:
-        """Say why the published state has started anew since the last call, if it has."""
+        """Report a new start of the published state since the last call, with its reason."""
         row, before = newest_row(self._memory), self._starts
         self._starts = row.item(Nav.RESTARTS), row.item(Nav.RECOVERIES)
         if self._starts == before:
@@ -179,7 +180,7 @@ class FilterStatus(Intake):
                             'missing, bridged')
 
     def verdicts(self) -> list:
-        """What was done with each measurement since the last call (`live.Judgement`)."""
+        """What the filter did with each measurement since the last call: a list of `live.Judgement`."""
         judged, self._judged = self._judged, []
         return judged
 
@@ -226,13 +227,13 @@ class FilterStatus(Intake):
         return values
 
     def horizon(self) -> Horizon | None:
-        """For how long and how far the estimate stays within `horizon.limit` without fixes; None before the heading is
-        known."""
+        """The trust horizon (`Horizon`): time and distance within `horizon.limit` without fixes; None before the
+        heading is known."""
         return None if self._memory is None else self._horizon.predict(self._memory)
 
     def vehicle_axes(self) -> tuple[float, float, float | None]:
-        """The vehicle's axes in those of imu.mounting_rpy: rotation to the right, then up, rad; and the standard
-        deviation of the vehicle's heading, None before there is one."""
+        """Estimated rotation of the vehicle's axes from those of imu.mounting_rpy: to the right, then up, rad; and the
+        standard deviation of the vehicle's heading, rad, None before the heading is known."""
         if self._memory is None:
             return 0.0, 0.0, None
         return (*mounting_angles(newest_row(self._memory), self.config.layout),

@@ -4,17 +4,17 @@ from __future__ import annotations
 import math
 from collections import deque
 
-RECENT = 100  # measurements whose NIS is averaged
-STEADY = 3  # measurements refused in a row that are reported
-STEADY_TIME = 1.0  # s that these have to last for a fast sensor
-FORGOTTEN = 5.0  # s after the last refusal for which it is reported
+RECENT = 100  # number of measurements over which the NIS is averaged
+STEADY = 3  # number of measurements refused in a row from which on this is reported
+STEADY_TIME = 1.0  # s: and of a fast sensor these must have come for this long
+FORGOTTEN = 5.0  # s after the last refusal until which this is reported
 
 
 class Tally:
     """Counts of one input. Stamps are ns.
 
-    used: how many. refused: how many, by reason. row: refused in a row at present, from `since` to `last`, the last one
-    for `reason`.
+    used: number of measurements used. refused: number of measurements refused, by reason. row: number refused in a row
+    until now, from `since` to `last`; `reason`: why the last one was.
     """
 
     def __init__(self):
@@ -23,12 +23,12 @@ class Tally:
         self._misfit: deque[float] = deque(maxlen=RECENT)
 
     def use(self, misfit: float) -> None:
-        """One was used. misfit: its NIS over the number of components."""
+        """Count a measurement that was used. misfit: its NIS over the number of components."""
         self.used, self.row = self.used + 1, 0
         self._misfit.append(misfit)
 
     def refuse(self, stamp: int, reason: str, misfit: float = math.nan) -> None:
-        """One was refused. reason: without numbers, so that equal reasons are counted together."""
+        """Count a refused measurement. reason: without numbers, so that equal reasons are counted together."""
         self.refused[reason] = self.refused.get(reason, 0) + 1
         self.since = stamp if self.row == 0 else self.since
         self.row, self.last, self.reason = self.row + 1, stamp, reason
@@ -37,7 +37,7 @@ class Tally:
 
     @property
     def misfit(self) -> float:
-        """Root mean square normalized innovation of the latest; 1 is expected, NaN before the first."""
+        """Root mean square of the latest normalized innovations; 1 is expected, NaN before the first."""
         return math.sqrt(sum(self._misfit) / len(self._misfit)) if self._misfit else math.nan
 
     def steadily(self, now: int, patient: bool) -> bool:

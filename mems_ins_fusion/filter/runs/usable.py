@@ -1,7 +1,7 @@
 """The valid samples of a recording, for tools that look at raw samples: checker, `configure` and others.
 
-They are those that the filter would use. The filter itself gets all messages and checks them one by one with the same
-functions (`intake.follow`, `measurements.position.is_place`); samples out of range it bridges.
+These are the samples that the filter would use. The filter itself gets all messages and checks them one by one with the
+same functions (`intake.follow`, `measurements.position.is_place`); it bridges samples that are out of range.
 """
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from ...parameters.table import defaults
 from ..measurements.position import is_fix
 from .intake import GOOD, JUMPED, LATEST, follow
 
-#: largest value of an IMU in any unit: 16 g are 16 000 mg, and the range of MEMS gyroscopes is at most 4000 deg/s
+#: largest value of an IMU in any unit (mg, deg/s): 16 g are 16 000 mg, and the range of MEMS gyroscopes is at most
+#: 4000 deg/s
 LARGEST_IN_ANY_UNIT = 1e5
 LONGEST_PAUSE = 3600.0  # s, longest gap between samples of one recording
 

@@ -14,30 +14,39 @@ from ..trust.white_noise import FAR_MORE, White
 MOUNTING_STATES = 'mounting_yaw', 'mounting_pitch'
 FASTEST_BACKWARDS = 8.0  # m/s, largest speed of a car in reverse
 AT_REST = 0.3  # m/s, speed below which the vehicle stands
-MOUNTING_SIGMAS = 3.0  # sigmas by which an estimated mounting has to differ from the parameters for a message
-#: rad by which it has to differ at least for a warning: a mounting measured by hand is off by a few degrees
+#: standard deviations by which an estimated mounting has to differ from the parameters to be reported: of the estimate
+#: for the advice of `found_mounting`, of imu.mounting_sigma for a warning
+MOUNTING_SIGMAS = 3.0
+#: rad by which it has to differ for a warning besides: a mounting measured by hand is off by a few degrees
 SMALL_ANGLE = 0.2
-#: rad: a mounting that is off by more than this, with a smaller standard deviation, is worth setting
+#: rad by which it has to differ for the advice besides; its standard deviation has to be smaller. Chosen, not measured
 WORTH_SETTING = math.radians(0.5)
-#: s by which an estimated time offset has to differ from the parameter for a message: less costs nobody anything
+#: factor by which its standard deviation has to be smaller than imu.mounting_sigma for the advice, unless it is beyond
+#: MOUNTING_SIGMAS of that: otherwise the estimate contains little but the prior
+BETTER_KNOWN = 5.0
+#: s: an estimated time offset is reported only if it differs from the parameter by more than this: less has little
+#: effect on the position,
 LATE = 0.05
-LATE_SIGMAS = 4.0  # sigmas by which it has to differ, too: inputs are looked at all day
-BETTER_KNOWN = 5.0  # and that standard deviation has to be smaller than imu.mounting_sigma by this factor
-LONGEST_SIDEWAYS = 5.0  # s of sideways motion in total that show that the vehicle has no wheels, or turns on the spot
-LONGEST_UNSETTLED = 0.5  # s of a contradiction by the lateral constraint that are reported
-LONGEST_SHAKEN = 60.0  # s of far more noise than configured that are reported
-#: refused fixes in a row that move on while the IMU shows a standstill, as those of a boat do: a receiver that jumps
-#: does not move on
+#: and by more than this many standard deviations: the check is repeated all day
+LATE_SIGMAS = 4.0
+#: s of sideways motion in total above which the vehicle has no wheels, or turns on the spot. Chosen, not measured
+LONGEST_SIDEWAYS = 5.0
+#: s above which a contradiction by the lateral constraint (`Nav.SLID`) is reported. Chosen, not measured
+LONGEST_UNSETTLED = 0.5
+#: s in total of far more noise than configured (`White.SHAKEN`) above which it is reported. Chosen, not measured
+LONGEST_SHAKEN = 60.0
+#: number of refused fixes in a row that show a boat if they move on while the IMU shows a standstill. The fixes of a
+#: receiver that jumps do not move on
 ADRIFT = 10
-FARTHEST_ADRIFT = 10.0  # m by which these have to move: fixes of a parked vehicle wander by less
+FARTHEST_ADRIFT = 10.0  # m by which these fixes have to move: fixes of a parked vehicle wander by less
 
 
 def vehicle_warnings(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) -> list[str]:
     """Messages on contradictions to the parameters. fixes: the latest records (k, Event.SIZE)."""
     texts, topic, row = [], config.imu.topic, newest_row(memory)
     if config.vehicle.zero_velocity_sigma and _is_adrift(fixes):
-        texts.append(f'{config.gnss.topic}: the fixes go on while {topic} shows a standstill (vehicle.zero_velocity): '
-                     'a boat needs config/boat.yaml')
+        texts.append(f'{config.gnss.topic}: the fixes move on while {topic} shows a standstill '
+                     '(vehicle.zero_velocity): a boat needs config/boat.yaml')
     fixes = fixes[np.isin(fixes[:, Event.VERDICT], (Verdict.USED, Verdict.WEIGHTED))]
     if config.vehicle.lateral_sigma:
         turn = mounting_angles(row, config.layout)[0]
@@ -58,13 +67,13 @@ def vehicle_warnings(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray
                      'which was not used then: a boat needs config/boat.yaml, a robot that turns on the spot '
                      'config/robot.yaml')
     if slid > LONGEST_UNSETTLED:
-        texts.append(f'{topic}: for {slid:.1f} s it showed a motion sideways that is not usual for this '
-                     'vehicle: it slid, or the IMU was not right; the fixes decided then')
+        texts.append(f'{topic}: for {slid:.1f} s it showed a sideways motion that is unusual for this vehicle: the '
+                     'vehicle slid, or the IMU was wrong. In that time every fix was used')
     if memory[White.SHAKEN] > LONGEST_SHAKEN:
-        texts.append(f'{topic}: the gyroscopes scatter from one sample to the next for minutes by more than '
-                     f'{FAR_MORE:g} times gyroscope.noise_density: the vehicle shakes it faster than it '
-                     'samples. That counts as noise (imu.adapt_noise); a soft mount, a faster rate or the low pass of '
-                     'the IMU make it less')
+        texts.append(f'{topic}: for minutes the noise of the gyroscopes is more than {FAR_MORE:g} times '
+                     'gyroscope.noise_density: the vehicle vibrates faster than the IMU samples. The filter uses the '
+                     'larger noise (imu.adapt_noise); a soft mount, a higher sampling rate or the low pass of the IMU '
+                     'reduce it')
     return texts
 
 
@@ -91,7 +100,7 @@ def found_mounting(memory: np.ndarray, config: FilterConfig) -> str:
     parts = [f'{abs(math.degrees(angle)):.1f} +- {math.degrees(s):.1f} deg {sides[angle > 0]}'
              for angle, s, sides in zip((yaw, pitch), sigmas, (('to the left', 'to the right'), ('down', 'up'))) if s]
     return (f'the vehicle points {" and ".join(parts)} of the forward axis that imu.mounting_rpy gives it; pose and '
-            f'twist are those of that axis: set imu.mounting_rpy: [{", ".join(map(str, rpy))}], or vehicle_axes: true')
+            f'twist refer to that axis: set imu.mounting_rpy: [{", ".join(map(str, rpy))}], or vehicle_axes: true')
 
 
 def found_time_offsets(memory: np.ndarray, config: FilterConfig) -> dict[int, str]:
@@ -107,8 +116,8 @@ def found_time_offsets(memory: np.ndarray, config: FilterConfig) -> dict[int, st
         if abs(left) > max(LATE, LATE_SIGMAS * sigma):
             name = 'gnss' if number == Kind.POSITION else measurement.name
             total = config.settings_of(number).time_offset + left
-            found[number] = (f'stamped {abs(left):.3f} +- {sigma:.3f} s too {"late" if left > 0 else "early"}, for '
-                             f'which the filter allows by now: set {name}.time_offset: {total:.2f}')
+            found[number] = (f'stamped {abs(left):.3f} +- {sigma:.3f} s too {"late" if left > 0 else "early"}, which '
+                             f'the filter corrects now: set {name}.time_offset: {total:.2f}')
     return found
 
 

@@ -30,13 +30,13 @@ from .plausibility import is_backwards, problem_of_driving_off, problem_of_sampl
 from .start import DATUM_FIXES, SavedState, Standstill, Start
 
 MEMORY = 300.0  # s of samples and fixes kept while waiting
-RECENT = 10.0  # s of samples and fixes that show whether the vehicle stands now, and its speed where it is slow
-CERTAIN = 3.0  # sigmas of two fixes by which they contradict a heading
-CHANGED = 0.3  # m/s, standard deviation of a slow vehicle's speed now from its mean over RECENT
-SLOW = 2.0  # m/s: a faster vehicle soon shows its heading by its course
-STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity zero at rest
-#: second differences of fixes that have to agree with their claimed noise before a course is looked for: noise above
-#: the claim looks like motion
+RECENT = 10.0  # s of samples and fixes from which a present standstill, or the speed of a slow vehicle, is determined
+CERTAIN = 3.0  # standard deviations of two fixes by which their displacement has to contradict a heading
+CHANGED = 0.3  # m/s, standard deviation of a slow vehicle's present speed about its mean over RECENT. Chosen
+SLOW = 2.0  # m/s: the course of a faster vehicle soon shows its heading. Chosen, not measured
+STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity at rest
+#: number of second differences of fixes that have to agree with the claimed noise before a course is looked for: noise
+#: above the claim looks like motion
 FEWEST_CONSISTENT = 3
 #: weight of such a second difference: each fix is in three of them
 OVERLAP = 0.5
@@ -52,29 +52,29 @@ class Alignment:
     def __init__(self, config: FilterConfig):
         self.config = config
         self.waiting_for = 'IMU samples'
-        self.contradicted = False  # whether waiting does not help: the inputs contradict the parameters
+        self.contradicted = False  # whether the inputs contradict the parameters, so that waiting does not help
         self._imu = np.empty((1024, 13))  # time, body-axis f and w, raw f and w
         self._count = 0
         self._orientation: np.ndarray | None = None
         #: the first magnetometer, which may give the heading
         self._magnetometer = next((one for number, one in config.inputs.items() if one.kind == Kind.MAGNETIC
                                    and config.settings_of(number).topic), None)
-        self._fields: list[tuple] = []  # its time, field in body axes, variance and declination
+        self._fields: list[tuple] = []  # time, field in body axes, variance and declination
         self._fixes: list[tuple] = []  # time, latitude, longitude, variance, height, covariance
         self._first: float | None = None  # time of the first sample
         self._saved: SavedState | None = None
         self._scale = np.zeros(Scale.SIZE)  # realised over claimed variance of the fixes
         self._track: list[tuple] = []  # the latest three fixes that are SHORTEST_PAIR apart
         self._consistent = 0  # number of second differences that agreed with the claimed noise
-        self._mounting_problem = ''  # that driving off has shown
-        self._backwards = False  # whether it drove off backwards
+        self._mounting_problem = ''  # problem of the mounting that driving off has shown
+        self._backwards = False  # whether the vehicle drove off backwards
 
     def use_saved(self, saved: SavedState) -> None:
         """State of an earlier run: its heading is used if the vehicle has been at rest ever since the first sample."""
         self._saved = saved
 
     def add_samples(self, samples: np.ndarray, orientation=None) -> None:
-        """Samples (k, 7) in sensor axes: time, specific force, angular rate. orientation: (k, 4) or None."""
+        """Add samples (k, 7) in sensor axes: time, specific force, angular rate. orientation: (k, 4) or None."""
         k = len(samples)
         while self._count + k > len(self._imu):
             self._imu = np.concatenate([self._imu, np.empty_like(self._imu)])
@@ -98,7 +98,7 @@ class Alignment:
             self._first = float(samples[0, 0])
 
     def add_field(self, record: np.ndarray) -> None:
-        """One magnetic field, as a record."""
+        """Add one magnetic field, as a record."""
         if record[Event.INPUT] == self._magnetometer.event_input:
             self._fields.append((record[Event.TIME], *record[Event.VALUE:Event.VALUE + 3], record[Event.R_NN],
                                  record[Event.DECLINATION]))
@@ -113,7 +113,8 @@ class Alignment:
         return imu[imu[:, 0] > time][:, [0, *range(7, 13)]]
 
     def add_record(self, record: np.ndarray, say) -> Start | None:
-        """One valid fix, as a record; messages to the user go to say(level, text)."""
+        """Add one valid fix, as a record; messages to the user go to say(level, text). Returns the start once there is
+        one."""
         before = self.waiting_for
         covariance = np.array([[record[Event.R_NN], record[Event.R_NE]], [record[Event.R_NE], record[Event.R_EE]]])
         start = self.add_fix(record[Event.TIME], record[Event.LATITUDE], record[Event.LONGITUDE],
@@ -126,7 +127,7 @@ class Alignment:
         return start
 
     def add_fix(self, time, latitude, longitude, height, covariance) -> Start | None:
-        """One valid fix of the antenna; covariance: north-east (2, 2) m^2. Returns the start once there is one."""
+        """Add one valid fix of the antenna; covariance: north-east (2, 2) m^2. Returns the start once there is one."""
         if not self._count:
             return None
         self._forget(time - MEMORY)
@@ -194,7 +195,7 @@ class Alignment:
         self._fields = [field for field in self._fields if field[0] >= before]
 
     def _positions(self) -> np.ndarray:
-        """The fixes as (time, north, east, sigma), metres from the first."""
+        """The fixes (k, 4): time, s; north and east from the first one, m; sigma, m."""
         _, latitude, longitude, _, height, _ = self._fixes[0]
         north, east = radii(latitude)
         positions = np.array([fix[:4] for fix in self._fixes])
@@ -210,15 +211,15 @@ class Alignment:
 
     @property
     def _realised(self) -> float:
-        """Realised over claimed variance of the fixes, 1 at least: claimed noise that is not seen may be slow."""
+        """Realised over claimed variance of the fixes, at least 1: what does not show as white noise may be slow."""
         return max(scale(self._scale, 0), 1.0)
 
     def _learn_noise(self, *fix) -> None:
         """Learn the noise of the fixes from the second difference of a new one (time, latitude, longitude, height,
         variance) and two before it.
 
-        It consists of their errors and of the acceleration of the vehicle, which the inertial sensors bound without a
-        heading.
+        A second difference contains the errors of the three fixes and the acceleration of the vehicle, for which the
+        inertial sensors give a bound without a heading.
         """
         if self._track and fix[0] - self._track[-1][0] < SHORTEST_PAIR:
             return
@@ -253,7 +254,7 @@ class Alignment:
         return standstill if self._lasts(standstill) else None
 
     def _start_from_saved(self, positions) -> Start | None:
-        """Heading of the saved state, if the vehicle has not moved since."""
+        """Start with the heading of the saved state, if the vehicle has not moved since."""
         saved = self._saved
         if saved is None or not math.isfinite(saved.yaw_sigma) or (
                 self._samples[-1, 0] - self._first > LONGEST_SAVED):
@@ -268,7 +269,8 @@ class Alignment:
         return self._start(saved.yaw, saved.yaw_sigma, 0.0, STANDING_SIGMA, standstill, 'heading from the state file')
 
     def _start_with_heading(self, source, positions) -> Start | None:
-        """Heading from a parameter or the IMU's orientation; velocity zero at standstill, else from the fixes."""
+        """Start with the heading of a parameter or of the IMU's orientation; velocity zero at standstill, else from the
+        fixes."""
         if source == 'parameter':
             yaw = self.config.alignment.yaw
         elif self._orientation is None:
@@ -297,13 +299,13 @@ class Alignment:
         topic = self.config.imu.topic
         rate = tumbling_rate(self._samples, positions, self.config)
         if rate:
-            raise Contradicted(f'a believable turn rate on {topic}: angular_velocity is {rate:.3f} rad/s at rest, '
+            raise Contradicted(f'a possible turn rate on {topic}: angular_velocity is {rate:.3f} rad/s at rest, '
                                'about an axis about which no vehicle turns; if the driver delivers deg/s, set '
                                "imu.rate_unit to 'deg/s'")
         if not self.config.vehicle.lateral_sigma:
-            return  # a vehicle that may move sideways drives off in any direction
+            return  # without the non-holonomic constraint the vehicle may drive off in any direction
         standstill = self._standstill(positions)
-        # the direction is that of the inertial sensors; fixes, with their claimed noise, only confirm the distance
+        # the direction is that of the inertial sensors; the fixes, with their claimed noise, only confirm the distance
         claimed = positions / [1.0, 1.0, 1.0, math.sqrt(self._realised)]
         found = None if standstill is None else driven_off(self._samples, claimed, standstill, self.config)
         if found is not None:
@@ -313,7 +315,7 @@ class Alignment:
             raise Contradicted(self._mounting_problem)
 
     def _has_reversed(self, positions, standstill) -> bool:
-        """Whether a vehicle that drove off backwards now goes forwards: then the IMU is not mounted backwards."""
+        """Whether a vehicle that drove off backwards now moves forwards: then the IMU is not mounted backwards."""
         if standstill is None or self._samples[-1, 0] - standstill.end > LONGEST_COURSE_TIME:
             return False
         try:
@@ -335,15 +337,15 @@ class Alignment:
                            'heading from the course')
 
     def _start_from_field(self, positions) -> Start:
-        """Heading from the magnetic field, for a vehicle whose fixes show no course."""
+        """Start with the heading from the magnetic field, for a vehicle whose fixes show no course."""
         fields = np.array(sorted(self._fields)).reshape(-1, 6)
         standstill = self._standstill(positions)
         found = find_magnetic_heading(self._samples, fields, standstill, self.config, self._magnetometer.name,
                                       self._saved.errors if self._saved else None)
         if found is None:
             raise Refused('the vehicle to move straight on, or to turn: the heading comes from the course of the '
-                          f'fixes, or from {self.config.settings_of(self._magnetometer.number).topic} once turns '
-                          'have shown the iron of the vehicle')
+                          f'fixes, or from {self.config.settings_of(self._magnetometer.number).topic} once the '
+                          'magnetic disturbance of the vehicle is known from turns')
         speed, speed_sigma = 0.0, STANDING_SIGMA
         if not self._lasts(standstill):
             speed, speed_sigma = self._slow_speed(found.yaw + self._known_mounting, positions)
@@ -369,7 +371,7 @@ class Alignment:
         along = math.cos(yaw) * moved[0] + math.sin(yaw) * moved[1]
         across = math.cos(yaw) * moved[1] - math.sin(yaw) * moved[0]
         if abs(across) > max(CERTAIN * noise, abs(along)):
-            raise Refused('a magnetic field that agrees with the way of the fixes: they go to the side of its heading')
+            raise Refused('a magnetic heading that agrees with the fixes, which move sideways to it')
         if math.hypot(*moved) > SLOW * interval + CERTAIN * noise:
             raise Refused('the vehicle to move straight on: it is fast enough for the heading to come from the course')
         return float(along / interval), math.hypot(noise / interval, CHANGED)

@@ -18,16 +18,18 @@ SHORTEST_STILL = 3.0  # s, shortest standstill
 #: m/s^2, largest difference of the mean of a block from the median of all blocks of a standstill
 STEADY_ACCELERATION = 0.06
 STEADY_RATE = 0.005  # rad/s, the same of the angular rate
-FEWEST_BLOCKS = 10  # blocks needed to decide whether a turn rate wanders: fewer may be the first of a drive
-#: m/s, drift of the fixes of a vehicle at rest. A vehicle that moves no faster and is as quiet passes for one at rest,
-#: too; its sensors show the same biases
+#: number of blocks needed to decide whether a turn rate oscillates, as of a boat: fewer may be the first of a drive
+FEWEST_BLOCKS = 10
+#: m/s, largest drift of the fixes of a vehicle at rest. A vehicle that moves more slowly, and as smoothly as one at
+#: rest, counts as at rest: at constant velocity its sensors show the same biases
 RECEIVER_DRIFT = 0.3
-SMALLEST_DRIFT = 0.1  # m by which they drift within the shortest time
-STAYING_SIGMAS = 4.0  # sigmas by which their medians may differ besides
-FASTEST_DRIFT = 2.0  # m/s: fixes that move faster are those of a vehicle that drives, however much they scatter
-WANDERING = 4.0  # fixes have moved where their displacement exceeds their scatter about a straight line by this factor
-MEDIAN_SIGMA = math.sqrt(math.pi / 2)  # standard deviation of a median over that of a mean, of normal errors
-#: share of gravity by which the specific force at rest may differ from it: more is no accelerometer error
+SMALLEST_DRIFT = 0.1  # m, drift that is always allowed, however short the time
+STAYING_SIGMAS = 4.0  # standard deviations by which the medians of the fixes may differ in addition to the drift
+FASTEST_DRIFT = 2.0  # m/s: if fixes move faster, the vehicle drives, however much they scatter
+#: the vehicle has moved where the displacement of the fixes exceeds their scatter about a straight line by this factor
+WANDERING = 4.0
+MEDIAN_SIGMA = math.sqrt(math.pi / 2)  # standard deviation of a median over that of a mean, for normal errors
+#: share of gravity by which the specific force at rest may differ from gravity: no accelerometer has larger errors
 GRAVITY_TOLERANCE = 0.1
 
 
@@ -65,8 +67,8 @@ def is_quiet(imu: np.ndarray, config: FilterConfig) -> bool:
 
 
 def tumbling_rate(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) -> float:
-    """Roll or pitch rate, rad/s, whichever is larger, while the accelerometers are quiet and the fixes do not move; 0
-    where it is small. No vehicle has one for seconds: it shows a wrong unit or axis."""
+    """The larger of roll rate and pitch rate, rad/s, while the accelerometers are quiet and the fixes do not move; 0
+    where it is small. No vehicle rolls or pitches for seconds, so a unit or an axis is wrong."""
     mean, scatter, starts, length = _blocks(imu)
     ends = np.append(starts[1:], len(imu))
     for first, last in runs((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration) & (length > 2)):
@@ -78,7 +80,7 @@ def tumbling_rate(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) 
 
 
 def _swings(rate: np.ndarray) -> bool:
-    """Whether the angular rate (k, 3) of blocks varies as that of a boat at anchor, rather than being a bias."""
+    """Whether the angular rate (k, 3) of blocks oscillates, as on a boat at anchor, rather than being a bias."""
     away = np.abs(rate - np.median(rate, axis=0)).max(axis=1)
     return len(rate) >= FEWEST_BLOCKS and np.mean(away < STEADY_RATE) < 0.5
 
@@ -107,8 +109,8 @@ def _longest_steady(mean: np.ndarray) -> slice:
 def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
     """Whether the fixes between two times, at least two, show no motion: the medians of their two halves agree.
 
-    Receivers drift by more than they claim. Neither motion as slow as that counts, nor motion that is not as straight
-    as that of a vehicle whose sensors show no change, nor a single outlier, which a median ignores.
+    Fixes of receivers at rest drift by more than their sigma, so slow motion is ignored. So are motion that is not
+    straight, as the sensors would show a turn, and single outliers, which do not change a median.
     """
     inside = positions[(positions[:, 0] >= begin - 0.5) & (positions[:, 0] <= end + 0.5)]
     if len(inside) < 2:

@@ -1,4 +1,7 @@
-"""The first heading and speed: from the displacement between fixes and the motion that the inertial sensors saw."""
+"""The first heading and speed, from the displacement between fixes and the motion by the inertial sensors.
+
+A *chord* is the straight line between two fixes.
+"""
 from __future__ import annotations
 
 import math
@@ -7,37 +10,38 @@ from typing import NamedTuple
 import numpy as np
 
 from ..config import FilterConfig
+from ..trust.new_start import LARGEST_YAW_SIGMA
 from ..trust.receiver import LASTING_TIME
 from .start import KNOWN_FORCE_SIGMA, KNOWN_RATE_SIGMA, UNKNOWN_TILT_FORCE, Standstill
 
-COURSE_SIGMA = 0.1  # rad, largest noise over length of the chord that a course is taken from
-FASTEST = 70.0  # m/s: no land vehicle is faster at its start
-FASTEST_REVERSE = 3.0  # m/s: no vehicle starts faster in reverse; where it seems to, the IMU is mounted backwards
+COURSE_SIGMA = 0.1  # rad, largest noise over length of a chord from which a course is computed. Chosen, not measured
+FASTEST = 70.0  # m/s, largest speed of a land vehicle
+FASTEST_REVERSE = 3.0  # m/s: no vehicle starts faster in reverse; if it seems to, the IMU is mounted backwards
 SHORTEST_COURSE = 1.0  # m, shortest chord
-LONGEST_COURSE_TIME = 60.0  # s, longest chord: over longer times the biases of the inertial sensors are not small
-SLOWEST_START = 0.2  # m/s: slower, a chord of a minute is no longer than the body swings and an antenna sways
+LONGEST_COURSE_TIME = 60.0  # s, longest chord in time: over longer times the biases of the inertial sensors are large
+SLOWEST_START = 0.2  # m/s: at a lower speed a chord of a minute is no longer than body and antenna sway
 SPEED_SIGMA = 0.05  # m/s, standard deviation of velocity components at the start, besides that of speed and heading
 SIDESLIP_SIGMA = 0.02  # rad, standard deviation of the angle between the heading of a car and its course
-LARGEST_YAW_SIGMA = 0.5  # rad, largest standard deviation of a heading to start with: the filter is linear in its error
-CHORD_STEP = 1.1  # factor: a chord whose time is longer than that of the last tried one by less shows the same
-MOST_BETWEEN = 20  # fixes that are looked at between the ends of a chord, evenly: more add nothing and take longer
-FEWEST_BETWEEN = 3  # fixes needed between the ends of a chord that does not begin at a standstill
-LONGEST_START = 12.0  # s after a standstill during which the biases that it has shown are used
-#: rad: a vehicle that has turned by more since the standstill shows no direction of driving off
+CHORD_STEP = 1.1  # factor between the times of chords that are tried: closer ones have nearly the same information
+#: number of fixes, evenly spaced, that are tested between the ends of a chord: more take time without a better decision
+MOST_BETWEEN = 20
+FEWEST_BETWEEN = 3  # number of fixes needed between the ends of a chord that does not begin at a standstill
+LONGEST_START = 12.0  # s after a standstill for which the biases found there are used. Chosen, not measured
+#: rad: after a larger turn since the standstill, the direction of driving off is not determined. Chosen, not measured
 LARGEST_START_TURN = 0.7
 MOVED_OFF = 0.2  # m/s, standard deviation of the velocity at the end of a standstill
-#: sigmas by which the speed of the fixes differs from that of the accelerometers in both directions where neither is
-#: believed: the fixes move, the vehicle stands
+#: if the speed by the fixes, forwards and backwards, differs by more than this many standard deviations from that by
+#: the accelerometers, neither direction is used: the fixes move while the vehicle stands
 NEITHER_SIGMAS = 5.0
-NEITHER_SPEED = 1.0  # m/s by which it has to differ besides: errors of the fixes that are not in their sigmas
-#: squared sigmas by which one direction has to fit the accelerometers better than the other: three sigmas
+NEITHER_SPEED = 1.0  # m/s by which it has to differ besides: errors of the fixes that their sigmas do not contain
+#: difference of the squared normalized residuals by which one direction has to fit the accelerometers better: 3 sigma
 DIRECTION_CERTAIN = 9.0
-LARGEST_TURN = 1.0  # rad: the path of a vehicle that turns by more is not fitted by a chord
-BENT = 0.6  # chord over path length of the most curved path that is looked at
+LARGEST_TURN = 1.0  # rad, largest turn within a chord; after a larger turn a curved path is fitted
+BENT = 0.6  # smallest chord over path length of a curved path that is tried. Chosen, not measured
 KNOT = 4.0  # s between the knots of the piecewise linear speed that is fitted to a curved path
-PICKED_UP = 8.0  # m/s, standard deviation of its change from one knot to the next
-FEWEST_ON_PATH = 10  # fixes needed for a curved path
-MISFIT = 3.0  # largest sum of squares over its expectation of a curved path
+PICKED_UP = 8.0  # m/s, standard deviation of the change of this speed from one knot to the next: 2 m/s^2
+FEWEST_ON_PATH = 10  # number of fixes needed for a curved path
+MISFIT = 3.0  # largest sum of squared residuals over its expectation for a curved path. Chosen, not measured
 
 
 class Course(NamedTuple):
@@ -50,11 +54,11 @@ class Course(NamedTuple):
 
 
 class Refused(ValueError):
-    """No start yet; the text says what it waits for."""
+    """There is no start yet; the text names what is awaited."""
 
 
 class Contradicted(Refused):
-    """No start: the inputs contradict the parameters, which waiting will not change."""
+    """There is no start because the inputs contradict the parameters, so that waiting does not help."""
 
 
 class _Motion(NamedTuple):
@@ -69,7 +73,7 @@ class _Motion(NamedTuple):
 
 def has_moved(positions: np.ndarray, white: float = 1.0) -> bool:
     """Whether the fixes (k, 4: time, north, east, sigma) are far enough apart for a course: a quick test before
-    `find_course`. white: as there."""
+    `find_course`. white: as for `find_course`."""
     recent = positions[positions[:, 0] > positions[-1, 0] - LONGEST_COURSE_TIME]
     moved = np.hypot(*(recent[:, 1:3] - recent[-1, 1:3]).T).max()
     return moved > max(SHORTEST_COURSE, BENT * math.sqrt(white) * recent[-1, 3] / COURSE_SIGMA)
@@ -77,7 +81,9 @@ def has_moved(positions: np.ndarray, white: float = 1.0) -> bool:
 
 def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill | None,
                 config: FilterConfig, white: float = 1.0) -> Course | None:
-    """The course from the chord between the newest fix and an earlier one; None if not yet. Raises Refused.
+    """The course from the chord between the newest fix and an earlier one; None while no chord is good enough.
+
+    Raises Refused or Contradicted.
 
     imu, positions: as for `at_rest.latest_standstill`. white: share of the variance of the fixes that is white noise.
     The inertial sensors give turn and change of speed: with s the speed at the beginning of the chord and D the
@@ -103,7 +109,7 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
                 return (_of_chord(imu, chord, time, now, noise, standstill, config)
                         or _of_curved_path(imu, positions, standstill, config))
             tried = interval
-            # an outlier must not be taken for a drive: the fixes in between have to lie on the path
+            # an outlier must not count as motion: the fixes in between have to lie on the path
             try:
                 found = _of_chord(imu, chord, time, now, noise, None, config, positions[i + 1:-1] - [0.0, n, e, 0.0])
             except Refused as reason:
@@ -160,8 +166,8 @@ def _of_curved_path(imu, positions, standstill, config) -> Course | None:
     speed_sigma = float(np.linalg.norm(inverse[2:], axis=1)[-1])
     sign = _direction(imu, now, standstill, speeds[-1], -speeds[-1], speed_sigma, config) if abs(speeds[-1]) > 0 else 0
     if standstill is None or now - standstill.end > LONGEST_COURSE_TIME:
-        sign = 1 if speeds.sum() > 0 else -1  # vehicles drive forwards most of the time
-    # no more accurate than a chord of the same length: common errors of the fixes do not show in the residuals
+        sign = 1 if speeds.sum() > 0 else -1  # the solution is ambiguous by half a turn: assume forward motion
+    # at best as accurate as a chord of the same length: common errors of the fixes do not show in the residuals
     length, noise = (float(0.5 * abs(speeds[1:] + speeds[:-1]) @ np.diff(knots)),
                      math.sqrt(2.0) * float(fixes[:, 3].max()))
     yaw_sigma = math.sqrt(max(0.5 / r, (noise / max(length, 1e-3)) ** 2) + (0.5 * bias * duration) ** 2
@@ -212,7 +218,7 @@ def driven_off(imu: np.ndarray, positions: np.ndarray, standstill: Standstill,
         by_fixes, interval = math.hypot(north - begin[0], east - begin[1]), time - standstill.end
         uncertain = sigma + 0.5 * KNOWN_FORCE_SIGMA * interval**2
         if not by_fixes > 2.0 * uncertain:
-            continue  # the conditions below cannot both hold; spares the integral for each fix of one that creeps
+            continue  # the conditions below cannot both hold; saves the integration for each fix of a slow vehicle
         motion = inertial_motion(imu, standstill.end, time, standstill, config)
         if motion is None or abs(motion.turn) > LARGEST_START_TURN:
             continue
@@ -243,7 +249,7 @@ def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) ->
     yaw_sigma = math.sqrt((noise / distance) ** 2 + (motion.bias_w * interval / 2) ** 2
                           + (0.5 * motion.bias_f * interval**2 / distance) ** 2 + SIDESLIP_SIGMA**2)
     if abs(speed) > FASTEST:
-        raise Contradicted(f'believable fixes: they move at {abs(speed):.0f} m/s')
+        raise Contradicted(f'possible fixes: they move at {abs(speed):.0f} m/s')
     if sign < 0 and abs(last) > FASTEST_REVERSE:
         raise Contradicted(f'the vehicle to drive forwards: it seems to go backwards at {abs(last):.1f} m/s; if it '
                            'does not, the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
@@ -256,8 +262,8 @@ def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) ->
 
 
 def _on_path(imu, between, time, now, yaw, speed, noise, config) -> bool:
-    """Whether more than half of the fixes between the ends of a chord lie on the path. Too few do not count: a receiver
-    that smooths turns an outlier into two or three fixes that look like a drive."""
+    """Whether more than half of the fixes between the ends of a chord lie on the path. False if they are too few: a
+    receiver that smooths its positions turns an outlier into two or three fixes that look like motion."""
     if len(between) < FEWEST_BETWEEN:
         return False
     between, agreeing = between[::math.ceil(len(between) / MOST_BETWEEN)], 0
@@ -291,7 +297,7 @@ def _direction(imu, time, standstill, forwards, backwards, sigma, config) -> int
     variance = sigma**2 + (MOVED_OFF + KNOWN_FORCE_SIGMA * since) ** 2
     if since < LONGEST_COURSE_TIME and min(abs(forwards - expected), abs(backwards - expected)) > (
             NEITHER_SIGMAS * math.sqrt(variance) + NEITHER_SPEED):
-        return 0  # the fixes move, the IMU does not
+        return 0  # the fixes move, the IMU shows no motion
     difference = (forwards - expected) ** 2 - (backwards - expected) ** 2
     if abs(difference) < DIRECTION_CERTAIN * variance:
         # long after the standstill: forwards, as vehicles drive most of the time

@@ -1,4 +1,5 @@
-"""The first row of the filter's memory, from a `Start`; and the sensor errors that outlast a run."""
+"""The first row of the filter's memory, from a `Start`; and the sensor errors that are kept from one run to the next.
+"""
 from __future__ import annotations
 
 import math
@@ -81,7 +82,8 @@ def _correlate_with_mounting(config: FilterConfig, full: np.ndarray) -> None:
 
 
 def _take_iron(config: FilterConfig, iron: Iron, estimate: np.ndarray, full: np.ndarray) -> None:
-    """Estimate and covariance of the iron that was found with a magnetic heading, and its correlation with that."""
+    """Write estimate and covariance of the iron that was found with a magnetic heading, and its correlation with the
+    heading, to `estimate` and `full`."""
     layout = config.layout
     states, yaw = [layout.index(name) for name in iron.names], layout.n_navigation - 1
     if min(states) < 0:  # a filter without magnetometer
@@ -108,7 +110,7 @@ def _sensor_errors(config: FilterConfig, start: Start, level: bool):
             mean = None  # a standstill shows the sum of tilt and bias: see _strapdown_attitude
         elif axis < 2 and level:
             sigma = math.hypot(sigma, TILT_SIGMA)
-        # saved accelerometer errors of a planar filter include the slope of another place
+        # saved accelerometer errors of a planar filter include the slope of the place where they were saved
         unseen[block] = mean is None and not (axis < 2 and is_level)
         estimate[block], covariance[block, block], constant[channel] = channel_prior(
             model, sigma, config.white[axis], mean, *span)
@@ -125,7 +127,7 @@ def sensor_errors_of(config: FilterConfig, memory: np.ndarray) -> SensorErrors:
     """The sensor errors as the filter with this memory has estimated them."""
     layout, row, head = config.layout, newest_row(memory), memory
     n = layout.n_navigation
-    # the constant parts are the offset minus that of the configuration, levelled if it was
+    # the constant parts: offset in the memory minus offset of the configuration, which is levelled if the memory's was
     leveled_offset = (head[Head.CONDITIONING:Head.CONDITIONING + 36].reshape(6, 6)
                       @ np.linalg.solve(config.conditioning, config.offset))
     constant = (leveled_offset - head[Head.OFFSET:Head.OFFSET + 6])[config.channel_axes]
@@ -134,7 +136,8 @@ def sensor_errors_of(config: FilterConfig, memory: np.ndarray) -> SensorErrors:
 
 
 def sensor_errors_after(config: FilterConfig, errors: SensorErrors, age: float) -> SensorErrors:
-    """`errors` after `age` s: predicted by their models, and less certain as the IMU may have been switched off."""
+    """`errors` after `age` s: predicted by their models, with a larger variance, as the IMU may have been switched off.
+    """
     p, m = config.layout.order, config.layout.n_augmented
     transition, noise = np.zeros((m, m)), np.zeros((m, m))
     blocks = [(model, slice(k * p, (k + 1) * p), REPEATED_TURN_ON**2 * first)
@@ -210,7 +213,7 @@ def channel_prior(model, turn_on_sigma: float, white: float, mean: float | None,
     p = model.order
     if mean is None:
         covariance = model.initial_covariance()
-        covariance[0, 0] += turn_on_sigma**2  # the constant has no state: the first stands for it
+        covariance[0, 0] += turn_on_sigma**2  # the constant has no state of its own: it is added to the first state
         return np.zeros(p), covariance, 0.0
     interval = model.interval or duration / STILL_STEPS
     steps = max(1, round(duration / interval))

@@ -1,8 +1,8 @@
-"""The first heading from the magnetic field, once turns have shown the vehicle's iron, or with iron that was measured.
+"""The first heading from the magnetic field, once the vehicle's iron is known, from turns or from a calibration.
 
 Model and priors are those of measurements/magnetometer.py: before the vehicle has turned, the unknown hard iron leaves
 the heading unknown. The gyroscopes give the turn, the accelerometers roll and pitch. Gauss-Newton estimates iron,
-heading and gyroscope bias; the filter starts with that iron, too.
+heading and gyroscope bias. The filter starts with the estimated iron as well.
 """
 from __future__ import annotations
 
@@ -18,20 +18,21 @@ from .start import KNOWN_RATE_SIGMA, Iron, SensorErrors, Standstill
 LONGEST = 60.0  # s of fields that are used: over longer times the gyroscope's bias is not constant
 SHORTEST = 3.0  # s of fields needed
 AROUND = 0.5  # s to each side over which the accelerometers are averaged for roll and pitch
-LEVEL_SIGMA = 0.02  # rad, standard deviation of roll and pitch from these while a vehicle drives slowly
-STARTS = 8  # initial headings of Gauss-Newton: hard iron stronger than the field makes local minima
-STEPS = 8  # iterations from each
-CERTAIN = 4.0  # sigmas by which any other heading has to fit worse
+LEVEL_SIGMA = 0.02  # rad, standard deviation of roll and pitch by the accelerometers while a vehicle drives slowly
+STARTS = 8  # number of initial headings for Gauss-Newton: hard iron stronger than the field causes local minima
+STEPS = 8  # number of iterations from each of them
+CERTAIN = 4.0  # standard deviations by which every other heading has to fit worse
 #: largest sum of squares over its expectation, of means over a second: above this the field is not the earth's alone
+#: Chosen, not measured
 MISFIT = 0.3
-#: rad by which the vehicle has to turn: without a turn, a field that changes by itself would be taken for iron
+#: rad by which the vehicle has to turn: without a turn, a field that changes by itself would be estimated as iron
 LEAST_TURN = 0.4
 IRON_KNOWN = 0.2  # standard deviation of the hard iron, as a share of the field, below which no turn is needed
 HEADING_SIGMA = 0.15  # rad, standard deviation of the heading that is good enough to start
 
 
 class MagneticHeading(NamedTuple):
-    """Heading of the body now, rad, its sigma, and the iron estimated with it."""
+    """Heading of the body at the newest sample, rad, its sigma, and the iron estimated with it."""
 
     yaw: float
     sigma: float
@@ -56,7 +57,7 @@ def find_magnetic_heading(imu: np.ndarray, fields: np.ndarray, standstill: Stand
     turn = np.cumsum(rate * np.diff(part[:, 0], prepend=part[0, 0]))
     turn = np.interp(time, part[:, 0], turn) - turn[-1]
     sigma = np.sqrt(fields[:, 4] + (LEVEL_SIGMA * fields[:, 3]) ** 2)
-    # means over a second, within which errors are about the same
+    # means over a second: within it the errors are nearly constant
     first = np.flatnonzero(np.diff(np.floor(time), prepend=-1.0))
     level, turn, since, sigma = (np.add.reduceat(of, first) / np.diff(np.append(first, len(time))).reshape(
         -1, *[1] * (of.ndim - 1)) for of in (_levelled(part, fields), turn, time - now, sigma))
@@ -109,7 +110,7 @@ def _fitted(yaw, mean, sigmas, level, turn, since, sigma):
     x = mean.copy()
     x[6] = yaw + mean[5]
     hard = np.mean(level - (1.0 + mean[2]) * np.column_stack([c, s]), axis=0)
-    x[:2] = mean[:2] + (hard - mean[:2]) * np.minimum(1.0, sigmas[:2])  # less far where it is known
+    x[:2] = mean[:2] + (hard - mean[:2]) * np.minimum(1.0, sigmas[:2])  # a smaller step where the hard iron is known
     for _ in range(STEPS):
         residual, jacobian = _misfit(x, level, turn, since, sigma)
         rows = np.concatenate([jacobian, np.diag(1.0 / sigmas)])

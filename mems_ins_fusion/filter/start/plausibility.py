@@ -15,18 +15,18 @@ LARGEST_TILT = math.radians(40.0)  # rad, largest tilt of an IMU whose mounting 
 FASTEST_TURN = 3.0  # rad/s, largest mean turn rate of a vehicle over a second
 #: m/s^2, range of the mean specific force over a second: gravity with biases and braking
 LEAST_GRAVITY, MOST_GRAVITY = 6.0, 14.0
-MOST_G = 2.0  # a mean specific force between the inverse of this and this is taken for one in g
+MOST_G = 2.0  # a mean specific force from 1 / MOST_G to MOST_G is reported as one in g
 #: rad from straight forward or backward: no vehicle with wheels drives off in other directions
 SIDEWAYS = math.radians(45.0)
 
 
 def problem_of_samples(imu: np.ndarray, config: FilterConfig) -> str:
-    """Unit, scale and mounting, by the last second of the samples (n, 7 or more): time, f, w in body axes."""
+    """Check unit, scale and mounting by the last second of the samples (n, 7 or more): time, f, w in body axes."""
     topic = config.imu.topic
     recent = imu[np.searchsorted(imu[:, 0], imu[-1, 0] - 1.0, side='right'):]
     turn = float(np.abs(recent[:, 4:7].mean(axis=0)).max())
     if turn > FASTEST_TURN:
-        return (f'a believable turn rate on {topic}: angular_velocity is {turn:.1f} rad/s over a second; if the '
+        return (f'a possible turn rate on {topic}: angular_velocity is {turn:.1f} rad/s over a second; if the '
                 "driver delivers deg/s, set imu.rate_unit to 'deg/s'")
     mean = recent[:, 1:4].mean(axis=0)
     size = float(np.linalg.norm(mean))
@@ -34,7 +34,7 @@ def problem_of_samples(imu: np.ndarray, config: FilterConfig) -> str:
     if imu[-1, 0] - imu[0, 0] > 1.0 and not LEAST_GRAVITY < size < MOST_GRAVITY and (
             not level or abs(size - 1.0) < 0.1):
         unit = "in g; set imu.acceleration_unit to 'g'" if 1.0 / MOST_G < size < MOST_G else 'a wrong unit or scale'
-        return (f'a believable specific force on {topic}: linear_acceleration is {size:.3f} m/s^2 over a second, '
+        return (f'a possible specific force on {topic}: linear_acceleration is {size:.3f} m/s^2 over a second, '
                 f'gravity included: {unit}')
     if not level and size > 5.0 and -mean[2] < math.cos(LARGEST_TILT) * size:
         tilt = math.degrees(math.acos(max(-1.0, min(1.0, -mean[2] / size))))
@@ -49,7 +49,8 @@ def is_backwards(angle: float) -> bool:
 
 
 def problem_of_driving_off(angle: float, speed: float) -> str:
-    """Mounting, by the direction (as for `is_backwards`) and speed, m/s, at which the vehicle drives off."""
+    """Check the mounting by the direction (as for `is_backwards`) and the speed, m/s, at which the vehicle drives off.
+    """
     if is_backwards(angle) and speed > FASTEST_REVERSE:
         return (f'the vehicle to drive forwards: it drives off backwards at {speed:.1f} m/s; if it does not, the IMU '
                 'is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')

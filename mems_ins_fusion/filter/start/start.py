@@ -1,4 +1,4 @@
-"""The start of a filter: first state with its covariance, and what is known of the sensors."""
+"""The start of a filter: the first state with its covariance, and the sensor errors known at that time."""
 from __future__ import annotations
 
 import math
@@ -13,19 +13,19 @@ from ...navigation.frames import near
 from ..config import FilterConfig
 from ..trust.scale import Scale
 
-UNKNOWN_TILT_SIGMA = 0.05  # rad, standard deviation of roll and pitch of the IMU where no standstill has shown them
-#: m/s^2, standard deviation of the horizontal specific force due to that tilt
+UNKNOWN_TILT_SIGMA = 0.05  # rad, standard deviation of roll and pitch of the IMU without a standstill before the start
+#: m/s^2, standard deviation of the horizontal specific force due to this tilt
 UNKNOWN_TILT_FORCE = UNKNOWN_TILT_SIGMA * 9.8
 #: m/s^2, standard deviation of the horizontal specific force relative to that at standstill, on another slope
 KNOWN_FORCE_SIGMA = 0.1
-KNOWN_RATE_SIGMA = 1e-3  # rad/s, standard deviation of a gyroscope bias that a standstill has shown
+KNOWN_RATE_SIGMA = 1e-3  # rad/s, standard deviation of a gyroscope bias that was found at a standstill
 DATUM_FIXES = 3  # the origin of the local frame is the median of this many fixes: of three, one may be an outlier
 
 
 def first_place(fixes: Sequence[tuple[float, float, float]]) -> np.ndarray:
     """Origin (3,) of the local frame where no parameter gives it: latitude, longitude (rad), height (m).
 
-    fixes: the first valid ones, the same three numbers each; DATUM_FIXES, or as many as there are at the start.
+    fixes: latitude, longitude, height of the first valid fixes; DATUM_FIXES of them, or as many as there are.
     """
     places = np.array(fixes[:DATUM_FIXES])
     places[:, 1] = near(places[:, 1], places[0, 1])
@@ -72,7 +72,7 @@ class SavedState:
 
 class Iron(NamedTuple):
     """Iron estimated together with a magnetic heading: names of the magnetometer's states (k), their estimate (k,), its
-    change for an error of the heading (k,), and the covariance without that part (k, k)."""
+    derivative by the error of the heading (k,), and the covariance without the part due to the heading (k, k)."""
 
     names: tuple[str, ...]
     estimate: np.ndarray
@@ -100,9 +100,10 @@ class Start:
 
 
 def transferred(start: Start, old: FilterConfig, new: FilterConfig) -> Start:
-    """A start found with the configuration `old`, converted to `new`: two runs then differ by their parameters alone.
+    """A start found with the configuration `old`, converted to `new`, so that two runs differ only by their parameters.
 
-    The time offset changes its time, the lever arm its position; the run replaces the standstill (`remeasured`).
+    The time offset changes the time of the start, the lever arm its position. The run recomputes the standstill
+    (`remeasured`).
     """
     delay = new.gnss.time_offset - old.gnss.time_offset
     arm = new.gnss.lever_arm - old.gnss.lever_arm
