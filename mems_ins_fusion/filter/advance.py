@@ -37,7 +37,6 @@ from .memory import (
 from .prediction import free_sensors, predict
 from .trust import contradiction, imu_faults
 from .trust.imu_faults import Fault, Imu
-from .trust.scale import Inputs
 from .trust.standstill import MOVING_SPEED, certain_speed, is_still
 from .trust.straight_on import Wrong
 from .trust.white_noise import show_noise
@@ -229,8 +228,6 @@ def take_event(memory, events, i):
     for c in range(Event.SIZE):
         memory[at + c] = events[i, c]
     memory[Head.EVENTS] = count + 1
-    if events[i, Event.KIND] != Kind.POSITION and events[i, Event.INPUT] == 0.0:
-        memory[Inputs.UNNAMED] = 1.0
     for j in range(k + 1, newest + 1):  # late: back to the state before it and forward again
         advance(memory, j)
     if memory[Wrong.SINCE] != 0.0:

@@ -3,7 +3,7 @@
 One row of floats is one state of the filter: navigation solution, estimated errors x, covariance P.
 
     solution and statistics (NAV) | x (n) | P: navigation block, packed upper triangle | cross block (m, N)
-    | augmented block (m, m) | statistics of each named input (INPUT_SIZE)
+    | augmented block (m, m) | statistics of each input but the fixes (INPUT_SIZE)
 
 The N navigation error states (5 planar, 9 strapdown) are followed by m augmented states: the sensor error models, one
 block of p states for each channel, then the optional states of the configuration. n = N + m. `StateLayout` gives the
@@ -89,7 +89,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
     RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
     RECOVERIES: int = column()  # restarts from fixes that had been refused
-    MECHANISMS: int = column(427)  # the first of those declared in other files (`ROW`), and room for them
+    MECHANISMS: int = column(203)  # the first of those declared in other files (`ROW`), and room for them
     SIZE: int = column(0)
 
 
@@ -109,7 +109,7 @@ Error = strapdown.State
 @dataclass(frozen=True)
 class StateLayout:
     """Index of each state. mechanization: PLANAR or STRAPDOWN. order: states of each sensor channel, p. extras: names
-    of the optional states, in order. inputs: number of named inputs, each with columns at the end of a row."""
+    of the optional states, in order. inputs: number of inputs but the fixes, each with columns at the end of a row."""
 
     mechanization: int
     order: int
@@ -183,7 +183,7 @@ def packed(i, j, size):
     return i * size - i * (i - 1) // 2 + j - i
 
 
-INPUT_SIZE = 32  # floats of each named input at the end of a row: its statistics (trust/scale.py)
+INPUT_SIZE = 32  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
 
 
 def row_width(layout: StateLayout) -> int:
@@ -335,7 +335,6 @@ class _Head(NamedTuple):
     MOUNTING_PITCH: int = column()
     MOUNTING_YAW: int = column()
     AXLE: int = column()
-    SPEED_SCALE: int = column()
     INTERVAL: int = column(2)  # s, T_s of the autoregressive models of accelerometers and gyroscopes; 0: other models
     MAX_GAP: int = column()  # s
     MAX_DELAY: int = column()  # s
@@ -365,7 +364,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # `StateLayout.rows`
     CHANNEL: int = column(6)  # `StateLayout.axes`
     AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
-    MECHANISMS: int = column(85)  # the first of those declared in other files (`HEAD`), and room for them
+    MECHANISMS: int = column(80)  # the first of those declared in other files (`HEAD`), and room for them
     SIZE: int = column(0)
 
 
@@ -466,10 +465,13 @@ class _Event(NamedTuple):
     V_N: int = column()
     V_E: int = column()
     WITHDRAWN: int = column()  # 1: a later measurement has shown that it is wrong
-    INPUT: int = column()  # number of its named input, from 1 on; 0: the unnamed input
-    STATE: int = column()  # of a named input: index of its first optional state among all n; -1: none
+    # what belongs to its input, as `FilterConfig.of_input` has it
+    INPUT: int = column()  # which of the inputs' statistics at the end of a row are its own, from 1 on; 0: a fix
+    STATE: int = column()  # index of its first optional state among all n; -1: none
     TIME_OFFSET: int = column()  # index of the state of its time offset among all n; 0: none, as 0 is the position
-    ARM: int = column(3)  # of a named input: lever arm from the IMU, body axes, m
+    AT_AXLE: int = column()  # 1: of the axle that does not steer, whose place is estimated
+    ARM: int = column(3)  # lever arm from the IMU to where it is measured, body axes, m
+    INPUT_END: int = column(0)
     STATUS: int = column()  # of a fix, `NavSatStatus.status`: 0 plain, 1 with satellite corrections, 2 with a base
     DECLINATION: int = column()  # of a magnetic field, as configured, rad
     SIZE: int = column(0)

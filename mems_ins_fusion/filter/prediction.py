@@ -39,7 +39,7 @@ from .trust.drift import Drift, DriftSettings
 from .trust.force_noise import force_noise
 from .trust.imu_faults import LONGEST_WHIRL, Fault
 from .trust.lag import LagSettings, fall_behind
-from .trust.scale import KINDS, Inputs, Kinds
+from .trust.scale import Inputs
 from .trust.white_noise import density
 
 GAP_ACCELERATION = 1.5  # m/s^2, standard deviation of a vehicle's acceleration during a gap in the IMU samples
@@ -67,12 +67,7 @@ def predict(mem, src, dst, sample, dt):
         _step_planar(mem, src, dst, sample, dt, 6, 2)
     else:
         _step_planar(mem, src, dst, sample, dt, m, p)
-    for k in range(Nav.MEMORY, Kinds.SEEN):
-        mem[dst + k] = mem[src + k]
-    if mem[Inputs.UNNAMED] != 0.0:  # else they are all zero
-        for k in range(Kinds.SEEN, Kinds.SEEN + KINDS * INPUT_SIZE):
-            mem[dst + k] = mem[src + k]
-    for k in range(Kinds.SEEN + KINDS * INPUT_SIZE, NAV):
+    for k in range(Nav.MEMORY, NAV):
         mem[dst + k] = mem[src + k]
     width = nonnegative(int(mem[Head.WIDTH]))
     for k in range(width - INPUT_SIZE * int(mem[Inputs.COUNT]), width):
