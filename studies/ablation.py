@@ -87,7 +87,6 @@ NEVER = {
     'a second filter that takes fixes for wrong': {'trust.hypotheses.LOST': -1e9},
     'receivers that go straight on': {'trust.straight_on.KNOWN': 1e9},
     'IMU doubted after straying': {'trust.imu_faults.DOUBT_TIME': 0.0},
-    'turns too fast for the speed': {'trust.imu_faults.FASTEST_WHIRL': 1e9},
     'spikes': {'trust.imu_faults.LONGEST_SPIKE': 0.0},
     'frozen samples': {'trust.imu_faults.FROZEN_TIME': 1e9},
     'sensors freed after a restart': {'advance.SHORTEST_RESTART': 1e9},

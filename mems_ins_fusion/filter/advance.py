@@ -140,7 +140,7 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
     if fault == Fault.NONE:
         _condition(memory, sample, Imu.RAW)
-    elif fault < Fault.WHIRL and memory[before + Nav.BRIDGED] < HELD:
+    elif fault != Fault.DOUBTED and memory[before + Nav.BRIDGED] < HELD:
         _condition(memory, sample, Imu.CENTRE)
     else:
         coast(memory, sample, before)

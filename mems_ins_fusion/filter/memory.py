@@ -364,7 +364,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # `StateLayout.rows`
     CHANNEL: int = column(6)  # `StateLayout.axes`
     AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
-    MECHANISMS: int = column(80)  # the first of those declared in other files (`HEAD`), and room for them
+    MECHANISMS: int = column(78)  # the first of those declared in other files (`HEAD`), and room for them
     SIZE: int = column(0)
 
 

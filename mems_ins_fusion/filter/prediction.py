@@ -37,7 +37,7 @@ from .memory import (
 )
 from .trust.drift import Drift, DriftSettings
 from .trust.force_noise import force_noise
-from .trust.imu_faults import LONGEST_WHIRL, Fault
+from .trust.imu_faults import Fault
 from .trust.lag import LagSettings, fall_behind
 from .trust.scale import Inputs
 from .trust.white_noise import density
@@ -239,8 +239,7 @@ def _carry_sensors(mem, dt, size, m):
 def _bridge(mem, r, dt, m, fault):
     """Add to the covariance of row r the motion that the vehicle may have made in dt, while no sample was believed.
 
-    Acceleration and turn rate are unknown constants: what they add depends on how long the gap has lasted. Impossible
-    turn rates (Fault.WHIRL) lose the heading, and with it the direction of the velocity.
+    Acceleration and turn rate are unknown constants: what they add depends on how long the gap has lasted.
     """
     before = mem[r + Nav.BRIDGED]
     after = before + dt
@@ -250,10 +249,6 @@ def _bridge(mem, r, dt, m, fault):
     position = 0.25 * GAP_ACCELERATION**2 * (after**4 - before**4)
     if fault == Fault.DOUBTED:
         position, velocity = 0.0, acceleration.DENSITY * dt
-    if fault == Fault.WHIRL:
-        part = dt / LONGEST_WHIRL
-        turn += part * UNKNOWN_YAW_SIGMA**2
-        velocity += part * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
     n = int(mem[Head.N_NAVIGATION])
     a = r + NAV + n + m
     for error in range(Error.SIZE):
