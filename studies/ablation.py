@@ -92,7 +92,6 @@ NEVER = {
     'sensors freed after a restart': {'advance.SHORTEST_RESTART': 1e9},
     'samples held before coasting': {'advance.HELD': 0.0},
     'constraint left out where it is not kept': {'constraints.CONSTRAINT_OFF': 1e9},
-    'wrong standstills': {'trust.contradiction.LATELY': 0.0},
     'standstill denied by speed': {'constraints.STILL_SPEED': 1e3},
     'standstill denied by turning': {'constraints.STILL_RATE': 1e3},
     'a heading in doubt where a gyroscope is off at a standstill': {'trust.gyroscopes.STANDS_UNSEEN': 0.0}}

@@ -35,7 +35,7 @@ from .memory import (
     state_at,
 )
 from .prediction import free_sensors, predict
-from .trust import contradiction, imu_faults
+from .trust import imu_faults
 from .trust.imu_faults import Fault, Imu
 from .trust.standstill import MOVING_SPEED, certain_speed, is_still
 from .trust.straight_on import Wrong
@@ -152,8 +152,7 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
-        moving = speed > MOVING_SPEED and not contradiction.goes_back(memory, before)
-        memory[sample + Sample.STILL] = is_still(memory, sample, dt, moving, bridged)
+        memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed > MOVING_SPEED, bridged)
         if imu_faults.is_stuck(memory, dt):  # it would not show a motion
             memory[sample + Sample.STILL] = 0.0
     _refuse_ahead(memory, time)

@@ -81,9 +81,6 @@ class _Nav(NamedTuple):
     SLIDING: int = column()  # NIS of the lateral constraint: mean of the last second, and usual for this vehicle
     USUAL_SLIDING: int = column()
     UNSETTLED: int = column()  # s for which fixes are used whatever their innovations
-    STOOD: int = column()  # time of the latest standstill, and the velocity that it corrected, m/s
-    TAKEN_N: int = column()
-    TAKEN_E: int = column()
     # counts for messages to the user
     SIDEWAYS: int = column()  # s during which the vehicle violated the non-holonomic constraint
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
