@@ -163,6 +163,7 @@ class _Telling(Replay):
         newest = state_at(memory, int(memory[Head.SAMPLES]))
         time, speed, variance = self.tell(begin, math.hypot(*memory[newest + Nav.V_N:newest + Nav.V_E + 1]))
         record = empty(Kind.SPEED, len(time))
+        record[:, Event.INPUT:Event.INPUT_END] = self.config.of_input(Kind.SPEED)
         record[:, Event.TIME], record[:, Event.R_NN] = time, variance
         record[:, Event.VALUE] = speed + 1e-4 * np.arange(len(time))  # the same number over and over is a dead sensor
         record[:, Event.ID] = -1.0 - np.arange(len(time))

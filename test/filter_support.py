@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from mems_ins_fusion.filter import advance, kernel
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import (
+    INPUT_SIZE,
     NAV,
     PLANAR,
     Event,
@@ -14,6 +15,7 @@ from mems_ins_fusion.filter.memory import (
     Kind,
     Nav,
     covariance,
+    row_width,
     set_covariance,
     views,
 )
@@ -85,6 +87,19 @@ def fix_record(time, latitude=LATITUDE, longitude=LONGITUDE, height=HEIGHT, r=((
     record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]] = latitude, longitude, height
     record[[Event.R_NN, Event.R_NE, Event.R_EE, Event.R_DD]] = r[0][0], r[0][1], r[1][1], down
     return record
+
+
+def input_record(config: FilterConfig, time, kind) -> np.ndarray:
+    """A record of the unnamed input of this kind, which has a topic, without a value."""
+    record = np.zeros(Event.SIZE)
+    record[[Event.TIME, Event.KIND]] = time, kind
+    record[Event.INPUT:Event.INPUT_END] = config.of_input(kind)
+    return record
+
+
+def statistics_at(config: FilterConfig, kind: int) -> int:
+    """Column of a row from which on the filter has its statistics (`trust.scale.Seen`) of the unnamed input."""
+    return row_width(config.layout) - INPUT_SIZE * int(config.of_input(kind)[0])
 
 
 def random_covariance(n: int, rng: np.random.Generator, scale=None) -> np.ndarray:

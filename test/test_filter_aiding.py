@@ -12,11 +12,13 @@ from filter_support import (
     central_difference,
     configure,
     fix_record,
+    input_record,
     newest,
     random_covariance,
     second_order_variance,
     started,
     state_and_covariance,
+    statistics_at,
     take_event,
     take_sample,
     velocity_of,
@@ -25,13 +27,17 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.filter.advance import TAKEN
 from mems_ins_fusion.filter.measurements.time_offset import AVERAGED
-from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Head, Kind, Nav, Verdict, views
+from mems_ins_fusion.filter.memory import INPUT_SIZE, NAV, PLANAR, Event, Head, Kind, Nav, Verdict, views
 from mems_ins_fusion.filter.trust import way
-from mems_ins_fusion.filter.trust.scale import KINDS, PRIOR, Kinds, Scale, Seen, scale
+from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, Seen, scale
 
 DT = 0.01
 FLU = np.array([1.0, -1.0, -1.0])
 SAMPLE = 0.3, 1.0, 9.7, 0.02, -0.03, 0.2  # sensor axes, forward-left-up
+#: inputs without any state of their own
+WITHOUT_STATES = {'speed_topic': '/speed', 'velocity_topic': '/velocity', 'heading_topic': '/heading',
+                  'speed.scale_sigma': 0.0, 'heading.offset_sigma': 0.0,
+                  **{f'{name}.time_offset_sigma': 0.0 for name in ('speed', 'velocity', 'heading')}}
 #: all optional states there are
 STATES = {'imu.mounting_sigma': 0.03, 'vehicle.rear_axle_sigma': 0.4, 'speed.scale_sigma': 0.02,
           'speed_topic': '/speed', 'velocity_topic': '/velocity', 'heading_topic': '/heading', 'twist_topic': '/twist',
@@ -174,9 +180,9 @@ SENSORS = {Kind.SPEED: ('speed', [0.04]), Kind.VELOCITY: ('antenna_velocity', [0
            Kind.HEADING: ('heading', [0.02**2]), Kind.TWIST: ('twist', [0.04, 0.09, 0.01])}
 
 
-def one_deviation_tells_nothing_new(memory):
+def one_deviation_tells_nothing_new(config, memory):
     """Scales are known and about 1, ways have been compared with those of fixes, the last message was long ago."""
-    seen = views(memory)[2][0][Kinds.SEEN:Kinds.SEEN + KINDS * Seen.SIZE].reshape(KINDS, Seen.SIZE)
+    seen = views(memory)[2][0][-INPUT_SIZE * config.layout.inputs:].reshape(-1, INPUT_SIZE)
     seen[:, [Scale.LOG, Scale.KNOWN, Scale.TIME, Seen.COMPARED]] = -0.05, PRIOR, DT - 10.0, 1.0
 
 
@@ -190,7 +196,7 @@ def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict
         {'mounting_pitch'} if mechanization == 'planar' else set())
     start = start_of(config, np.random.default_rng(8), feedback, (11.0, 0.8, -0.4))
     before, after = started(config, **start), started(config, **start)
-    one_deviation_tells_nothing_new(after)
+    one_deviation_tells_nothing_new(config, after)
     velocity = velocity_of(config, before)
     take_sample(before, DT, *SAMPLE)
     # given a value that is so many sigmas of the innovation away from what is expected
@@ -208,9 +214,7 @@ def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict
     away[:judged] = np.linalg.cholesky(s[:judged, :judged])[:, 0] * sigmas
     if k > 2:
         away[2] = 0.5 * math.sqrt(s[2, 2])
-    record = np.zeros(Event.SIZE)
-    record[[Event.TIME, Event.KIND]] = DT, kind
-    record[Event.TIME_OFFSET] = config.layout.index(f'{config.inputs[kind].name}_time_offset')
+    record = input_record(config, DT, kind)
     record[Event.VALUE:Event.VALUE + k] = measured(np.zeros(len(x0))) - h @ x0 - away
     record[[Event.R_NN, Event.R_EE, Event.R_DD][:k]] = variances[:k]
     if kind == Kind.HEADING:
@@ -237,16 +241,15 @@ def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict
     (Kind.SPEED, 20.0, Verdict.WEIGHTED), (Kind.VELOCITY, 20.0, Verdict.WEIGHTED)])
 def test_what_is_far_from_what_fixes_say_changes_nothing(kind, last_fix, verdict):
     # given a filter that is sure of its velocity and heading, by a fix of so many seconds ago
-    config = configure({})
+    config = configure(WITHOUT_STATES)
     n = config.layout.n
     memory = started(config, p=np.diag([1e-4] * n), velocity=(10.0, 0.0, 0.0))
     views(memory)[2][0][Nav.FIX_TIME] = DT - last_fix
-    one_deviation_tells_nothing_new(memory)
+    one_deviation_tells_nothing_new(config, memory)
     without = memory.copy()
     take_sample(without, DT, *SAMPLE)
     # when wheels spin, or something else is far off
-    record = np.zeros(Event.SIZE)
-    record[[Event.TIME, Event.KIND]] = DT, kind
+    record = input_record(config, DT, kind)
     record[Event.VALUE:Event.VALUE + 3] = (2.0, 0.0, 0.0) if kind == Kind.HEADING else (36.0, 0.0, 0.0)
     record[[Event.R_NN, Event.R_EE, Event.R_DD]] = 0.01
     assert take_event(memory, record) == TAKEN
@@ -307,15 +310,15 @@ def through(kind, value, r, seconds, rate=1.0, fixes=False, velocity=(0.0, 0.0, 
     """Memory after `seconds` of a vehicle that goes straight on, with a measurement of `value`, one number or more with
     this noise, each 1 / rate s from `begin` on."""
     rng = np.random.default_rng(1)
-    config = configure({'gnss.gate_probability': 0.999999, 'gnss.robust_sigma': 3.0})
+    config = configure({**WITHOUT_STATES, 'gnss.gate_probability': 0.999999, 'gnss.robust_sigma': 3.0})
     p = np.diag([1.0, 1.0, 0.01, 0.01, sigma_yaw**2, 1e-4, 1e-4, 1e-8])
     memory = started(config, velocity=velocity, attitude=(0.0, 0.0, yaw), p=p)
     north, east = 1.0 / newest(memory)[[Nav.NORTH_SCALE, Nav.EAST_SCALE]]
     for k in range(round(20 * seconds)):
         time = (k + 1) / 20.0
         if (k + 1) % round(20 / rate) == 0 and time > begin:
-            record = np.zeros(Event.SIZE)
-            record[[Event.TIME, Event.KIND, Event.R_NN, Event.R_EE, Event.R_DD]] = time, kind, r, r, r
+            record = input_record(config, time, kind)
+            record[[Event.R_NN, Event.R_EE, Event.R_DD]] = r
             record[Event.VALUE:Event.VALUE + np.size(value)] = value + noise * rng.standard_normal(np.size(value))
             take_event(memory, record)
         if fixes and (k + 1) % 20 == 10:
@@ -352,15 +355,16 @@ def test_speeds_and_velocities_bring_back_a_filter_that_is_sure_of_a_wrong_veloc
 
 def test_headings_that_fit_leave_their_scale_as_it_is():
     config, memory = through(Kind.HEADING, 0.7, 0.03**2, 60.0)
-    assert scale(newest(memory), Kinds.SEEN + Seen.SIZE * Kind.HEADING) <= 1.0
+    assert scale(newest(memory), statistics_at(config, Kind.HEADING)) <= 1.0
     assert math.sqrt(state_and_covariance(config, memory)[1][4, 4]) < 0.02
 
 
 def test_a_wheel_speed_in_kilometres_an_hour_does_not_move_a_velocity_that_fixes_confirm():
     velocity = 10.0 * math.cos(0.7), 10.0 * math.sin(0.7), 0.0
-    _, memory = through(Kind.SPEED, 36.0, 0.05**2, 60.0, rate=10.0, fixes=True, velocity=velocity)
+    config, memory = through(Kind.SPEED, 36.0, 0.05**2, 60.0, rate=10.0, fixes=True, velocity=velocity)
     row = newest(memory)
     assert math.hypot(row[Nav.V_N] - velocity[0], row[Nav.V_E] - velocity[1]) < 0.3
     # and it is seen how far off it is: all but 10 of 36 m/s
-    assert way.is_contradicted(row, Kinds.SEEN + Seen.SIZE * Kind.SPEED)
-    assert row[Kinds.SEEN + Seen.SIZE * Kind.SPEED + Seen.MORE] == pytest.approx(1.0 - 10.0 / 36.0, abs=0.05)
+    seen = statistics_at(config, Kind.SPEED)
+    assert way.is_contradicted(row, seen)
+    assert row[seen + Seen.MORE] == pytest.approx(1.0 - 10.0 / 36.0, abs=0.05)

@@ -33,7 +33,6 @@ from mems_ins_fusion.filter.runs.vehicle_check import vehicle_warnings
 from mems_ins_fusion.filter.trust.contradiction import (
     LOOSENED,
     UNSETTLED_TIME,
-    goes_back,
     loosen,
     slides,
     unsettle,
@@ -221,34 +220,6 @@ def test_where_each_fix_is_believed_nothing_is_decided_against_the_imu():
     assert newest(memory)[Nav.SLID] == 0.0
 
 
-def crept(seconds):
-    """IMU samples (k, 7) of a vehicle that creeps north at 1 m/s as smoothly as it stands, is braked to rest within
-    a second from 4 s on, and stands until `seconds`."""
-    samples = np.zeros((round(50 * seconds), 7))
-    samples[:, 0] = np.arange(1, len(samples) + 1) / 50.0
-    samples[:, 3] = gravity(LATITUDE, 480.0)
-    samples[:, 1:] += np.random.default_rng(2).standard_normal((len(samples), 6)) * np.repeat([5e-3, 2e-4], 3)
-    samples[200:250, 1] -= 1.0
-    return samples
-
-
-@BOTH
-def test_a_standstill_that_was_none_is_survived(mechanization):
-    # given a state that is not sure of its speed, so that the smooth creep passes for a standstill
-    config = configure(CAR, mechanization=mechanization)
-    n, first = config.layout.n, config.layout.n_navigation
-    sigma = [1, 1, .4, .4, .02] if first == 5 else [1, 1, 1, .4, .4, .1, .005, .005, .02]
-    p = np.diag(np.concatenate([np.square(sigma), np.full(n - first, 1e-6)]))
-    memory = started(config, velocity=(1.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
-    states, _ = take_all(memory, crept(16.0), np.zeros((0, Event.SIZE)), [Nav.TIME, Nav.V_N, Nav.TAKEN_N])
-    time, speed, taken = states.T
-    # when it is braked, its speed goes back by what was taken
-    assert np.abs(speed[(time > 3.0) & (time < 4.0)]).max() < 0.1 and taken[time < 4.0].max() > 0.8
-    assert speed[(time > 5.0) & (time < 5.2)].max() < -0.8
-    # then the standstill that follows is one
-    assert np.abs(speed[time > 12.0]).max() < 0.1
-
-
 def as_quiet_as_at_rest(mechanization, seconds, off, velocity=(0.0, 0.0, 0.0)):
     """Configuration and newest state of a filter that is sure of its velocity, m/s, after so long with samples as quiet
     as at rest; off: rad/s, (k,) of what the vertical gyroscope shows besides, 50 a second."""
@@ -344,17 +315,6 @@ def test_a_speed_denies_a_standstill_unless_a_gyroscope_turns_that_has_misled_it
     # then one that goes straight on creeps smoothly, and one that turns stands
     speed = np.hypot(row[Nav.V_N], row[Nav.V_E])
     assert speed < 0.1 if stands else 0.6 < speed < 1.0
-
-
-@BOTH
-@pytest.mark.parametrize('velocity, taken, ago, is_back', [
-    ((-0.9, 0.1), (1.0, 0.0), 5.0, True), ((-0.9, 0.1), (1.0, 0.0), 60.0, False), ((-0.9, 0.1), (0.1, 0.0), 5.0, False),
-    ((0.9, 0.1), (1.0, 0.0), 5.0, False), ((-0.5, 0.9), (1.0, 0.0), 5.0, False), ((-3.0, 0.0), (1.0, 0.0), 5.0, False)])
-def test_what_goes_back_is_against_what_was_taken(mechanization, velocity, taken, ago, is_back):
-    _, memory, r = a_state(mechanization)
-    memory[r + Nav.TIME], memory[r + Nav.STOOD] = 100.0, 100.0 - ago
-    memory[[r + Nav.V_N, r + Nav.V_E]], memory[[r + Nav.TAKEN_N, r + Nav.TAKEN_E]] = velocity, taken
-    assert goes_back(memory, r) == is_back
 
 
 @BOTH

@@ -15,8 +15,6 @@ from mems_ins_fusion.filter.memory import Event, Head, Nav, state_at
 from mems_ins_fusion.filter.trust import fix_drift
 from mems_ins_fusion.filter.trust.fix_drift import MEMORY, FixDrift
 from mems_ins_fusion.filter.trust.hypotheses import (
-    DRIFT,
-    DRIFT_OF_JUMP,
     ENDS,
     FIXES_RIGHT,
     FIXES_WRONG,
@@ -31,7 +29,6 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     is_drifting,
     judge,
     most_behind,
-    reach,
 )
 from mems_ins_fusion.filter.trust.new_start import are_refused
 from mems_ins_fusion.filter.trust.receiver import Receiver
@@ -90,29 +87,10 @@ def test_who_doubts_expects_them_to_go_on_being_off_as_they_were():
     assert believed and memory[r + Hypothesis.DOUBTS] == 0.0
 
 
-@pytest.mark.parametrize('z, sigma', [((30.0, -10.0), DRIFT_OF_JUMP), ((3.0, 3.0), DRIFT)])
-def test_fixes_that_have_jumped_beyond_the_gate_hardly_drift(z, sigma):
-    _, memory, r = a_state()
-    memory[r + Nav.FIX_TIME] = 1.0
-    doubt(memory, r, 1.0)
-    judged(memory, r, np.array(z), 2.0)
-    assert memory[r + Hypothesis.VARIANCE + 2] == pytest.approx(sigma**2) and memory[r + Hypothesis.BEGUN] == 2.0
-
-
 def test_refused_fixes_are_as_likely_right_as_wrong_after_the_recovery_time():
     _, memory, _ = a_state(**{'gnss.recovery_time': 40.0})
     nats = [most_behind(memory, since) for since in (0.0, 20.0, 40.0)]
     assert nats == pytest.approx([FIXES_RIGHT, FIXES_RIGHT / 2, 0.0])
-
-
-def test_the_published_ellipse_reaches_to_a_filter_that_may_be_right():
-    # given two filters 30 m apart, the probability of the second 0.5, 0.02 and 0.001
-    radius = math.sqrt(chi2.ppf(0.95, 2))
-    assert radius * reach(0.5, 30.0) == pytest.approx(radius * math.sqrt(0.5))
-    assert radius * reach(0.02, 30.0) == pytest.approx(1.0)
-    assert reach(0.001, 30.0) == pytest.approx(math.sqrt(0.001))
-    # and one further away than a filter is taken by fixes that drift away
-    assert reach(0.02, 300.0) == pytest.approx(math.sqrt(0.02))
 
 
 @BOTH
@@ -171,18 +149,16 @@ def test_fixes_that_drift_away_are_left(mechanization):
     assert off.max() < 12.0 and off[round(50 * 53.6):].max() < 2.0
 
 
-@pytest.mark.parametrize('offset, drift, since, is_so', [  # since: s, that they are off without a jump
-    ((0.0, 20.0), (0.0, 3.0), 8.0, True),  # 20 m beside the way within 8 s
-    ((0.0, 20.0), (0.0, 3.0), 2.0, False),  # most of that at once
-    ((20.0, 0.0), (3.0, 0.0), 8.0, False),  # ahead of a vehicle that goes north: stamps may be late
-    ((0.0, 20.0), (0.0, 0.2), 80.0, False)])  # a drift of two sigma
-def test_fixes_drift_that_leave_the_way_of_the_vehicle_little_by_little(offset, drift, since, is_so):
+@pytest.mark.parametrize('offset, drift, is_so', [
+    ((0.0, 20.0), (0.0, 3.0), True),  # 20 m beside the way
+    ((20.0, 0.0), (3.0, 0.0), False),  # ahead of a vehicle that goes north: stamps may be late
+    ((0.0, 20.0), (0.0, 0.2), False)])  # a drift of two sigma
+def test_fixes_drift_that_leave_the_way_of_the_vehicle(offset, drift, is_so):
     _, memory, r = a_state()
     memory[r + Hypothesis.DOUBTS] = 1.0
     memory[r + Hypothesis.OFFSET:r + Hypothesis.OFFSET + 2] = offset
     memory[r + Hypothesis.DRIFT:r + Hypothesis.DRIFT + 2] = drift
     memory[r + Hypothesis.VARIANCE:r + Hypothesis.VARIANCE + 3] = 1.0, 0.05, 0.01
-    memory[r + Nav.FIX_TIME], memory[r + Hypothesis.BEGUN] = 100.0, 100.0 - since
     assert is_drifting(memory, r) == is_so
 
 

@@ -9,7 +9,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from filter_support import HEIGHT, LATITUDE, LONGITUDE, configure, fix_record, newest, started, take_all, take_event
+from filter_support import (
+    HEIGHT,
+    LATITUDE,
+    LONGITUDE,
+    configure,
+    fix_record,
+    newest,
+    started,
+    statistics_at,
+    take_all,
+    take_event,
+)
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.signal import lfilter
 
@@ -26,7 +37,7 @@ from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
 from mems_ins_fusion.filter.trust.new_start import start_anew
 from mems_ins_fusion.filter.trust.receiver import FOLLOWED, LASTING_TIME, realised_factor, realised_scatter, shown_share
 from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
-from mems_ins_fusion.filter.trust.scale import KINDS, PRIOR, Inputs, Kinds, Scale, Seen, scale
+from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, Seen, scale
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -564,9 +575,9 @@ def test_errors_that_last_are_in_the_position_that_is_published(mechanization):
 @pytest.mark.parametrize('refused', [2, 3])
 def test_a_way_ends_at_a_refused_fix_only_where_three_before_it_were_refused(refused):
     # given a filter that has refused so many fixes in a row, and a wheel speed whose way has not begun
-    _, memory, _, _ = Receiver(20.0).through(**{'gnss.adapt_sigma': False})
-    way, now = Kinds.SEEN + Seen.SIZE * (Kind.SPEED % KINDS), newest(memory)[Nav.TIME]
-    memory[Inputs.UNNAMED] = 1.0
+    config, memory, _, _ = Receiver(20.0).through(**{
+        'gnss.adapt_sigma': False, 'speed_topic': '/speed', 'speed.scale_sigma': 0.0, 'speed.time_offset_sigma': 0.0})
+    way, now = statistics_at(config, Kind.SPEED), newest(memory)[Nav.TIME]
     views(memory)[2][:, [Nav.REFUSED, way + Seen.WAY_TIME, way + Seen.START]] = refused, now - 0.1, 0.0
     # when it refuses one more, which is some hundred metres off
     take_event(memory, fix_record(now - 0.01, LATITUDE + 1e-4))

@@ -13,6 +13,7 @@ from filter_support import (
     central_difference,
     configure,
     fix_record,
+    input_record,
     newest,
     random_covariance,
     started,
@@ -277,8 +278,8 @@ def test_a_late_fix_loses_nothing_of_a_fast_sensor_beside_it():
     def played(fix_after):
         memory = started(config, p=0.01 * np.eye(config.layout.n))
         for time in times:
-            speed = np.zeros(Event.SIZE)
-            speed[[Event.TIME, Event.KIND, Event.VALUE, Event.R_NN]] = time - 0.005, Kind.SPEED, 13.0, 0.01
+            speed = input_record(config, time - 0.005, Kind.SPEED)
+            speed[[Event.VALUE, Event.R_NN]] = 13.0, 0.01
             assert take_event(memory, speed) == TAKEN
             take_sample(memory, time, *SAMPLE)
             if time == fix_after:
@@ -295,8 +296,8 @@ def test_what_cannot_be_gone_back_behind_is_refused():
     memory, count = started(config, p=0.01 * np.eye(config.layout.n)), config.event_capacity + 1
     take_sample(memory, 0.01, *SAMPLE)
     for time in np.linspace(0.02, 5.0, count):
-        speed = np.zeros(Event.SIZE)
-        speed[[Event.TIME, Event.KIND, Event.VALUE, Event.R_NN]] = time, Kind.SPEED, 13.0, 0.01
+        speed = input_record(config, time, Kind.SPEED)
+        speed[[Event.VALUE, Event.R_NN]] = 13.0, 0.01
         assert take_event(memory, speed) == TAKEN
         take_sample(memory, time + 1e-4, *SAMPLE)
     before = newest(memory)

@@ -281,7 +281,8 @@ stamp = np.arange(1, 8) * SECOND + SECOND // 2
 altitudes = Altitudes(stamp, stamp, np.full(len(stamp), HEIGHT + 7.0), np.full(len(stamp), 0.01))
 found = {}
 for name, aiding in (('alone', Aiding()), ('with it', Aiding(altitude=altitudes))):
-    result = replay({'gnss.adapt_sigma': False}, imu, fixes, aiding)
+    topics = {f'{one}_topic': '/altitude' for one in aiding}
+    result = replay({'gnss.adapt_sigma': False, **topics, 'altitude.time_offset_sigma': 0.0}, imu, fixes, aiding)
     found[name] = [result.height[-1], result.sigma[-1, 2]]
 # and it is on its way everywhere else
 values = table.check({'altitude_topic': '/altitude', 'altitude.sigma': 0.2})

@@ -73,6 +73,7 @@ def test_innovation_and_derivatives_are_those_of_rotations(mechanization):
     r, at = state_at(memory, 0), int(memory[Head.SCRATCH_AT]) + n * n + 6 * n
     h = int(memory[Head.SCRATCH_AT]) + n * n
     memory[at + Event.VALUE:at + Event.VALUE + 3], memory[at + Event.DECLINATION] = field, 0.1
+    memory[at + Event.STATE] = first
     memory[h:h + 3 * n] = 0.0
     late, sample = c.layout.index('magnetometer_time_offset'), sample_at(memory, 0)
     memory[at + Event.TIME_OFFSET], memory[sample + Sample.W_Z] = late, 0.3

@@ -121,3 +121,18 @@ def test_what_cannot_be_is_said():
     # and a filter without a height says that it has none
     with pytest.raises(ParameterError, match="'pressure_topic' needs mechanization strapdown"):
         config(mechanization='planar')
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_an_input_without_a_topic_is_not_used_and_that_is_said(mechanization):
+    # given pressures that nobody has asked for, of which the planar filter knows nothing
+    recording = made(duration=60.0)
+    unasked = config(pressure_topic='', mechanization=mechanization)
+    with_them = run(unasked, recording.imu, recording.gnss, Measured(pressure=recording.others['pressure']))
+    # then all is as without them
+    assert np.array_equal(with_them.latitude, run(unasked, recording.imu, recording.gnss).latitude)
+    assert [n.text for n in with_them.notices if 'pressure' in n.text] == ['pressure_topic is empty: pressure not used']
+    live = FusionFilter(unasked)
+    live.add_imu(10**9, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0)
+    with pytest.raises(ParameterError, match='pressure_topic'):
+        live.add('pressure', 10**9, 95000.0, 100.0)

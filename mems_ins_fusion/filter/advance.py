@@ -35,9 +35,8 @@ from .memory import (
     state_at,
 )
 from .prediction import free_sensors, predict
-from .trust import contradiction, imu_faults
+from .trust import imu_faults
 from .trust.imu_faults import Fault, Imu
-from .trust.scale import Inputs
 from .trust.standstill import MOVING_SPEED, certain_speed, is_still
 from .trust.straight_on import Wrong
 from .trust.white_noise import show_noise
@@ -145,7 +144,7 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
     if fault == Fault.NONE:
         _condition(memory, sample, Imu.RAW)
-    elif fault < Fault.WHIRL and memory[before + Nav.BRIDGED] < HELD:
+    elif fault != Fault.DOUBTED and memory[before + Nav.BRIDGED] < HELD:
         _condition(memory, sample, Imu.CENTRE)
     else:
         coast(memory, sample, before)
@@ -157,8 +156,7 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
-        moving = speed > MOVING_SPEED and not contradiction.goes_back(memory, before)
-        memory[sample + Sample.STILL] = is_still(memory, sample, dt, moving, bridged)
+        memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed > MOVING_SPEED, bridged)
         if imu_faults.is_stuck(memory, dt):  # a stuck accelerometer looks still although the vehicle may move
             memory[sample + Sample.STILL] = 0.0
     _refuse_ahead(memory, time)
@@ -240,8 +238,6 @@ def take_event(memory, events, i):
     for c in range(Event.SIZE):
         memory[at + c] = events[i, c]
     memory[Head.EVENTS] = count + 1
-    if events[i, Event.KIND] != Kind.POSITION and events[i, Event.INPUT] == 0.0:
-        memory[Inputs.UNNAMED] = 1.0
     for j in range(k + 1, newest + 1):  # late: return to the state before it and repeat what followed
         advance(memory, j)
     if memory[Wrong.SINCE] != 0.0:

@@ -95,7 +95,7 @@ def compare(memory):
         _start_from_fixes(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0:  # the state before the fixes is no longer in the memory: there is no second filter
             return
-    for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.SIZE):  # how the fixes scatter: it is the same receiver
+    for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.SIZE):  # it is the same receiver
         other[r + i] = memory[r + i]
     if other[r + Hypothesis.DOUBTS] == 0.0 and other[r + Hypothesis.VARIANCE] != 0.0:
         # it takes fixes for right again: from now on it is judged by them, as the first
@@ -115,7 +115,7 @@ def compare(memory):
         memory[Bank.OPEN] = share = 0.0
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
     north, east = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
-    sigma, spread = hypotheses.reach(share, math.hypot(north, east)), r + Hypothesis.SPREAD
+    sigma, spread = math.sqrt(share), r + Hypothesis.SPREAD
     memory[spread], memory[spread + 1] = sigma * north, sigma * east
     memory[spread + 2], memory[spread + 3] = sigma * (its[2] - mine[2]), sigma * (its[3] - mine[3])
 

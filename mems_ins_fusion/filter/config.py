@@ -17,7 +17,7 @@ from .bank import Bank
 from .history import history_size
 from .measurements import wheel_vibration
 from .measurements.base import Measurement, SensorSettings
-from .measurements.registry import AIDING, aiding, inputs
+from .measurements.registry import aiding, inputs
 from .memory import (
     BY_NAME,
     HEAD,
@@ -237,7 +237,31 @@ class FilterConfig:
     @cached_property
     def layout(self) -> StateLayout:
         return StateLayout(self.mechanization, self.models[0].order, tuple(extra.name for extra in self.extras),
-                           sum(not measurement.is_plain for measurement in self.inputs.values()))
+                           len(self._places))
+
+    @cached_property
+    def _places(self) -> dict[int, int]:
+        """`Event.INPUT` of each input with a topic but the fixes, by its number."""
+        return {number: place for place, number in enumerate(
+            (number for number, settings in self.sensors.items() if settings.topic), start=1)}
+
+    @property
+    def _axle(self) -> np.ndarray:
+        """(3,) m, from the IMU to the middle of the axle that does not steer."""
+        return FLU_TO_FRD @ np.asarray(self.parameters['vehicle.rear_axle'], dtype=float)
+
+    def of_input(self, number: int) -> np.ndarray:
+        """Columns INPUT to INPUT_END of records of the input with this number. ParameterError where it has no topic."""
+        measurement, columns = self.inputs[number], np.zeros(Event.SIZE)
+        if not self.settings_of(number).topic:
+            raise ParameterError(f"parameter '{measurement.topic}' is empty: the filter has no {measurement.name}")
+        columns[Event.INPUT] = 0 if number == Kind.POSITION else self._places[number]
+        columns[Event.STATE] = self.layout.index(measurement.state)
+        columns[Event.TIME_OFFSET] = max(self.layout.index(measurement.time_offset_state), 0)
+        columns[Event.AT_AXLE] = measurement.is_plain and not measurement.of_antenna
+        columns[Event.ARM:Event.ARM + 3] = measurement.arm if not measurement.is_plain else (
+            self.gnss.lever_arm if measurement.of_antenna else self._axle)
+        return columns[Event.INPUT:Event.INPUT_END]
 
     @property
     def first_variance(self) -> np.ndarray:
@@ -291,7 +315,7 @@ class FilterConfig:
     def _write_head(self, head: np.ndarray, width: int) -> None:
         layout, gnss, vehicle, values = self.layout, self.gnss, self.vehicle, self.parameters
         shows_tilt = not layout.is_level
-        axle = FLU_TO_FRD @ np.asarray(values['vehicle.rear_axle'], dtype=float)
+        axle = self._axle
         settings = {
             Head.MECHANIZATION: self.mechanization, Head.OPEN_LOOP: self.open_loop,
             Head.N_NAVIGATION: layout.n_navigation, Head.N_AUGMENTED: layout.n_augmented, Head.ORDER: layout.order,
@@ -300,7 +324,6 @@ class FilterConfig:
             Head.COLOURED: layout.index('coloured_n'), Head.MOUNTING_PITCH: layout.index('mounting_pitch'),
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
             Head.AXLE_ACROSS: layout.index('axle_y'),
-            **{one.state_column: layout.index(one.state) for one in AIDING if one.state_column is not None},
             Head.INTERVAL: self.models[0].interval or 0.0, Head.INTERVAL + 1: self.models[-1].interval or 0.0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,
             Head.GATE: gnss.gate, Head.ROBUST_SIGMA: values['gnss.robust_sigma'],

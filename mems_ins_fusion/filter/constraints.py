@@ -16,6 +16,7 @@ from .memory import (
     Sample,
     channel_of,
     store_covariance,
+    velocity_state,
     velocity_variance,
     yaw_state,
 )
@@ -67,17 +68,16 @@ def constrain(mem, r, sample):
     gyroscopes.allow_for_end(mem, r, n, since)
     yaw = yaw_state(mem)
     if still:
-        variance = velocity_variance(mem, r)
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
-        agrees = squared < STILL_SPEED**2 + 9.0 * variance
+        agrees = squared < STILL_SPEED**2 + 9.0 * velocity_variance(mem, r)
         # an estimated speed contradicts a standstill (a smooth, straight creep), but not where a gyroscope shows a
         # turn: then the gyroscope is wrong, and has made the velocity wrong as well
-        still = ((agrees or contradiction.goes_back(mem, r) or _turns(mem, r, sample, n, 0.0, gyroscopes.NEW_ERROR))
+        still = ((agrees or _turns(mem, r, sample, n, 0.0, gyroscopes.NEW_ERROR))
                  and not _turns(mem, r, sample, n, STILL_RATE, ROBUST))
         if still and not agrees:
-            contradiction.admit(mem, r, n)
+            for i in range(2):
+                mem[p + (n + 1) * (velocity_state(mem) + i)] += mem[r + Nav.V_N + i] ** 2
     if still:
-        v_n, v_e = mem[r + Nav.V_N], mem[r + Nav.V_E]
         dimensions = standstill.observe_velocity(mem, r, at, h, n)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0, 0.0)
         _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)
@@ -100,8 +100,6 @@ def constrain(mem, r, sample):
         store_covariance(mem, p, int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), mem, r)
         return
     end_update(mem, r)
-    if still:
-        contradiction.stood(mem, r, v_n, v_e)
     set_radii(mem, r)
 
 

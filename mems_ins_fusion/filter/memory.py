@@ -3,7 +3,7 @@
 One row of floats is one state of the filter: navigation solution, estimated errors x, covariance P.
 
     solution and statistics (NAV) | x (n) | P: navigation block, packed upper triangle | cross block (m, N)
-    | augmented block (m, m) | statistics of each named input (INPUT_SIZE)
+    | augmented block (m, m) | statistics of each input but the fixes (INPUT_SIZE)
 
 The N navigation error states (5 planar, 9 strapdown) are followed by m augmented states: the sensor error models, one
 block of p states for each channel, then the optional states of the configuration. n = N + m. `StateLayout` gives the
@@ -81,15 +81,12 @@ class _Nav(NamedTuple):
     SLIDING: int = column()  # NIS of the lateral constraint, mean of the last second
     USUAL_SLIDING: int = column()  # the same NIS, long-term mean: what is usual for this vehicle
     UNSETTLED: int = column()  # s for which fixes are still used whatever their innovations
-    STOOD: int = column()  # time of the latest standstill,
-    TAKEN_N: int = column()  # and by how much it corrected the velocity, m/s
-    TAKEN_E: int = column()
     # counts for messages to the user
     SIDEWAYS: int = column()  # s during which the vehicle violated the non-holonomic constraint
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
     RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
     RECOVERIES: int = column()  # restarts from fixes that had been refused
-    MECHANISMS: int = column(430)  # room for the columns that other files declare (`ROW`)
+    MECHANISMS: int = column(205)  # room for the columns that other files declare (`ROW`)
     SIZE: int = column(0)
 
 
@@ -109,7 +106,7 @@ Error = strapdown.State
 @dataclass(frozen=True)
 class StateLayout:
     """Index of each state. mechanization: PLANAR or STRAPDOWN. order: states of each sensor channel, p. extras: names
-    of the optional states, in order. inputs: number of named inputs, each with columns at the end of a row."""
+    of the optional states, in order. inputs: number of inputs but the fixes, each with columns at the end of a row."""
 
     mechanization: int
     order: int
@@ -184,7 +181,7 @@ def packed(i, j, size):
     return i * size - i * (i - 1) // 2 + j - i
 
 
-INPUT_SIZE = 32  # floats of each named input at the end of a row: its statistics (trust/scale.py)
+INPUT_SIZE = 32  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
 
 
 def row_width(layout: StateLayout) -> int:
@@ -336,7 +333,6 @@ class _Head(NamedTuple):
     MOUNTING_PITCH: int = column()
     MOUNTING_YAW: int = column()
     AXLE: int = column()
-    SPEED_SCALE: int = column()
     INTERVAL: int = column(2)  # s, T_s of the autoregressive models of accelerometers and gyroscopes; 0: other models
     MAX_GAP: int = column()  # s
     MAX_DELAY: int = column()  # s
@@ -366,7 +362,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # `StateLayout.rows`
     CHANNEL: int = column(6)  # `StateLayout.axes`
     AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
-    MECHANISMS: int = column(85)  # room for the columns that other files declare (`HEAD`)
+    MECHANISMS: int = column(78)  # room for the columns that other files declare (`HEAD`)
     SIZE: int = column(0)
 
 
@@ -468,10 +464,13 @@ class _Event(NamedTuple):
     V_N: int = column()
     V_E: int = column()
     WITHDRAWN: int = column()  # 1: a later measurement has shown that it is wrong
-    INPUT: int = column()  # number of its named input, from 1 on; 0: the unnamed input
-    STATE: int = column()  # if from a named input: index of the input's first optional state among all n; -1: none
+    # what belongs to its input, as `FilterConfig.of_input` has it
+    INPUT: int = column()  # number of its input, from 1 on, in the order of the statistics at the end of a row; 0: a fix
+    STATE: int = column()  # index of its first optional state among all n; -1: none
     TIME_OFFSET: int = column()  # index of the state of its time offset among all n; 0 (a position state): none
-    ARM: int = column(3)  # if from a named input: lever arm from the IMU, body axes, m
+    AT_AXLE: int = column()  # 1: of the axle that does not steer, whose place is estimated
+    ARM: int = column(3)  # lever arm from the IMU to where it is measured, body axes, m
+    INPUT_END: int = column(0)
     STATUS: int = column()  # if a fix: `NavSatStatus.status`, 0 plain, 1 with satellite corrections, 2 with a base
     DECLINATION: int = column()  # if a magnetic field: declination as configured, rad
     SIZE: int = column(0)

@@ -38,9 +38,9 @@ from .memory import (
 )
 from .trust.drift import Drift, DriftSettings
 from .trust.force_noise import force_noise
-from .trust.imu_faults import LONGEST_WHIRL, Fault
+from .trust.imu_faults import Fault
 from .trust.lag import LagSettings, fall_behind
-from .trust.scale import KINDS, Inputs, Kinds
+from .trust.scale import Inputs
 from .trust.white_noise import density
 
 #: m/s^2, standard deviation of the vehicle's acceleration during a gap in the IMU samples. Chosen: a car in traffic
@@ -78,12 +78,7 @@ def predict(mem, src, dst, sample, dt):
         _step_planar(mem, src, dst, sample, dt, 6, 2)
     else:
         _step_planar(mem, src, dst, sample, dt, m, p)
-    for k in range(Nav.MEMORY, Kinds.SEEN):
-        mem[dst + k] = mem[src + k]
-    if mem[Inputs.UNNAMED] != 0.0:  # else all columns of `Kinds` are zero
-        for k in range(Kinds.SEEN, Kinds.SEEN + KINDS * INPUT_SIZE):
-            mem[dst + k] = mem[src + k]
-    for k in range(Kinds.SEEN + KINDS * INPUT_SIZE, NAV):
+    for k in range(Nav.MEMORY, NAV):
         mem[dst + k] = mem[src + k]
     width = nonnegative(int(mem[Head.WIDTH]))
     for k in range(width - INPUT_SIZE * int(mem[Inputs.COUNT]), width):
@@ -255,9 +250,8 @@ def _bridge(mem, r, dt, m, fault):
     """Add to the covariance of row r the motion that the vehicle may have made in dt, s, without a valid sample.
 
     Acceleration and turn rate are unknown constants, so what they add in dt depends on how long the gap has lasted.
-    fault: why the sample is not valid (`Fault`). After impossible turn rates (Fault.WHIRL) the heading is unknown, and
-    with it the direction of the velocity. Where the fixes contradict the IMU (Fault.DOUBTED) only the acceleration of a
-    land vehicle is added.
+    fault: why the sample is not valid (`Fault`). Where the fixes contradict the IMU (Fault.DOUBTED) only the
+    acceleration of a land vehicle is added.
     """
     before = mem[r + Nav.BRIDGED]
     after = before + dt
@@ -267,10 +261,6 @@ def _bridge(mem, r, dt, m, fault):
     position = 0.25 * GAP_ACCELERATION**2 * (after**4 - before**4)
     if fault == Fault.DOUBTED:
         position, velocity = 0.0, acceleration.DENSITY * dt
-    if fault == Fault.WHIRL:
-        part = dt / LONGEST_WHIRL
-        turn += part * UNKNOWN_YAW_SIGMA**2
-        velocity += part * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
     n = int(mem[Head.N_NAVIGATION])
     a = r + NAV + n + m
     for error in range(Error.SIZE):

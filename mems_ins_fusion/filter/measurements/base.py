@@ -59,7 +59,6 @@ class Measurement:
     an outage. of_two: whether a sample is computed from two messages. needs_height: whether it can only be used with a
     mechanization that has a height. has_arm: whether it depends on where in the vehicle it is measured.
     simulated_with: rate (Hz; 0: not simulated) and errors in simulations, by the names of `simulation.Aiding`.
-    state_column: column of the head for the index of the first optional state of the unnamed input, None without.
 
     Of an input: number, equal to `kind` for the unnamed one; state: name of its first optional state, '' without; arm:
     lever arm (3,) from the IMU, body axes, m, of a named one.
@@ -81,15 +80,12 @@ class Measurement:
     of_two = False
     needs_height = False
     has_arm = False
-    state_column: int | None = None
     arm: np.ndarray = np.zeros(3)
     simulated_with: Mapping[str, float] = {}
 
     number = property(lambda self: self.kind if self.is_plain else self._number)
     is_plain = property(lambda self: not hasattr(self, '_number'))
     state = ''
-    #: as in Event.INPUT: 0 for the unnamed input, from 1 on for named ones
-    event_input = property(lambda self: 0 if self.is_plain else self._number - FIRST_NAMED + 1)
 
     @property
     def time_offset_state(self) -> str:

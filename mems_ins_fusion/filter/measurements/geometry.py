@@ -74,23 +74,9 @@ def add(mem, h, error, value):
 
 
 @njit(_nrt=False)
-def arm_of(mem, at, unnamed):
-    """Lever arm from the IMU to the point of measurement of the record at `at`, body axes, m.
-
-    A named input has its lever arm in the record. unnamed: position in the memory of the lever arm of the unnamed
-    input.
-    """
-    arm = at + Event.ARM if mem[at + Event.INPUT] > 0.0 else unnamed
-    return mem[arm], mem[arm + 1], mem[arm + 2]
-
-
-@njit(_nrt=False)
-def own_state(mem, at, unnamed):
-    """Index of the first optional state of the input of the record at `at`, -1: none.
-
-    A named input has the index in the record. unnamed: position in the memory of the index for the unnamed input.
-    """
-    return int(mem[at + Event.STATE]) if mem[at + Event.INPUT] > 0.0 else int(mem[unnamed])
+def arm_of(mem, at):
+    """Lever arm from the IMU to the point of measurement of the record at `at`, body axes, m."""
+    return mem[at + Event.ARM], mem[at + Event.ARM + 1], mem[at + Event.ARM + 2]
 
 
 @njit(_nrt=False)

@@ -11,20 +11,17 @@ from mems_ins_fusion.compiled import njit
 from ...navigation.frames import unit_quaternions, wrap, yaw_from_enu, yaw_of_quaternion
 from ...parameters.parameter import Parameter
 from ...samples import Headings
-from ..memory import HEAD, NAV, Error, Event, Head, Kind
+from ..memory import NAV, Error, Event, Head, Kind
 from .base import IMU, NOT_THERE, POSE, Measurement
-from .geometry import add, angular_rate, own_state
+from .geometry import add, angular_rate
 from .records import empty, refuse, stated_or
 from .time_offset import add_time_offset
-
-#: index of the optional state heading_offset among all n; -1: none
-Offsets = HEAD.place('Offsets', HEADING=1)
 
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, c, sample):
     """Yaw of the vehicle; the innovation is wrapped to (-pi, pi]. One component."""
-    yaw, offset = int(mem[Head.MOUNTING_YAW]), own_state(mem, at, Offsets.HEADING)
+    yaw, offset = int(mem[Head.MOUNTING_YAW]), int(mem[at + Event.STATE])
     # yaw of the vehicle's axes in b, and error of the measured heading; `update` subtracts H times these estimates
     estimated = (mem[r + NAV + yaw] if yaw >= 0 else 0.0) + (mem[r + NAV + offset] if offset >= 0 else 0.0)
     difference = math.atan2(c[3], c[0]) + estimated - mem[at + Event.VALUE]
@@ -48,7 +45,7 @@ class Heading(Measurement):
     kind, name, samples, unit, default_sigma = Kind.HEADING, 'heading', Headings, 'rad', 0.05
     topic_text = ('Topic of the heading of base_link (two antennas or a compass): yaw of sensor_msgs/Imu.orientation '
                   'or geometry_msgs/PoseWithCovarianceStamped, counter-clockwise from east')
-    offset, state_column = 'offset', Offsets.HEADING
+    offset = 'offset'
     messages = {IMU: ('orientation', 'orientation_covariance'), POSE: ('pose.pose.orientation', 'pose.covariance')}
     written_to = '/gps/heading'
     from_satellites = True  # of two antennas, perhaps

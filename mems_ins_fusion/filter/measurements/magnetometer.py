@@ -22,14 +22,12 @@ from mems_ins_fusion.compiled import njit
 from ...navigation.frames import FLU_TO_FRD, mounting
 from ...parameters.parameter import Parameter
 from ...samples import MagneticFields
-from ..memory import HEAD, NAV, Error, Event, Kind
+from ..memory import NAV, Error, Event, Kind
 from .base import Measurement, SensorSettings
-from .geometry import add, angular_rate, own_state
+from .geometry import add, angular_rate
 from .records import empty, refuse, stated_or
 from .time_offset import add_time_offset
 
-#: index of the optional state magnetometer_hard_x among all n, followed by the others of STATES; -1: none
-Compass = HEAD.place('Compass', STATES=1)
 #: names of the states, after that of the input: hard iron forward and to the right; strength of the horizontal field
 #: less 1; soft iron: field along the vehicle over that across it, and along one diagonal over that along the other;
 #: rad, error of the declination
@@ -45,7 +43,7 @@ def _levelled(mem, r, at, c):
     x_x, y_x = cos * c[0] + sin * c[3], cos * c[3] - sin * c[0]
     x_y, y_y = cos * c[1] + sin * c[4], cos * c[4] - sin * c[1]
     x_z, y_z = cos * c[2] + sin * c[5], cos * c[5] - sin * c[2]
-    hard = r + NAV + own_state(mem, at, Compass.STATES)
+    hard = r + NAV + int(mem[at + Event.STATE])
     b_x, b_y, b_z = (mem[at + Event.VALUE] - mem[hard], mem[at + Event.VALUE + 1] - mem[hard + 1],
                      mem[at + Event.VALUE + 2])
     return (x_x * b_x + x_y * b_y + x_z * b_z, y_x * b_x + y_y * b_y + y_z * b_z,
@@ -56,7 +54,7 @@ def _levelled(mem, r, at, c):
 def observe(mem, r, at, h, n, c, sample):
     """Horizontal field in units of its nominal size, across the predicted one (an angle) and along it; two components.
     """
-    first = own_state(mem, at, Compass.STATES)
+    first = int(mem[at + Event.STATE])
     x = r + NAV + first
     strength, stretch, skew = 1.0 + mem[x + 2], mem[x + 3], mem[x + 4]
     f_x, f_y, f_z, x_x, y_x, x_y, y_y = _levelled(mem, r, at, c)
@@ -98,7 +96,7 @@ def observe(mem, r, at, h, n, c, sample):
 @njit(_nrt=False)
 def heading(mem, r, at, c):
     """Heading from the field of the record at `at` with the iron estimated at r, rad."""
-    x = r + NAV + own_state(mem, at, Compass.STATES)
+    x = r + NAV + int(mem[at + Event.STATE])
     strength, stretch, skew = 1.0 + mem[x + 2], mem[x + 3], mem[x + 4]
     f_x, f_y, _, _, _, _, _ = _levelled(mem, r, at, c)
     # S^-1 f, up to a positive factor
@@ -133,7 +131,7 @@ class Magnetometer(Measurement):
     messages = {'sensor_msgs/msg/MagneticField': ('magnetic_field', 'magnetic_field_covariance')}
     layouts = {'sensor_msgs/msg/MagneticField': (('magnetic_field', '<f8', 3),
                                                  ('magnetic_field_covariance', '<f8', 9))}
-    written_to, state_column = '/imu/mag', Compass.STATES
+    written_to = '/imu/mag'
     #: T, white noise; then standard deviations, drawn for each seed: T, hard iron of each axis; elements of soft iron;
     #: rad, declination. T, disturbances by iron beside the road, and m, mean distance between these
     simulated_with = {'magnetometer_rate': 0.0, 'magnetometer_sigma': 0.5e-6, 'magnetometer_hard_iron': 15e-6,
@@ -190,8 +188,6 @@ class Magnetometer(Measurement):
         n, size = len(fields), np.linalg.norm(settings.factor * fields.field, axis=1)
         fields = self.declared(settings, fields)
         r, reasons = empty(Kind.MAGNETIC, n), {}
-        if not settings.topic:  # then the filter has no states for the iron
-            refuse(reasons, np.ones(n, dtype=bool), lambda i: f'{self.topic} is empty: magnetic field dropped')
         refuse(reasons, ~((size >= WEAKEST) & (size <= STRONGEST)), lambda i: f'magnetic field {1e6 * size[i]:.4g} uT '
                f"is outside {1e6 * WEAKEST:g} to {1e6 * STRONGEST:g} uT: dropped (a wrong {self.name}.factor?)")
         r[:, Event.VALUE:Event.VALUE + 3] = fields.field @ settings.rotation.T / settings.horizontal

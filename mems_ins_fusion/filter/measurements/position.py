@@ -72,7 +72,7 @@ def observe_place(mem, r, at, h, n, c):
     The states for coloured noise, smoothing and clock belong to the main receiver. Two optional states are the error of
     this receiver's lever arm, forward and right.
     """
-    x, y, z = arm_of(mem, at, Head.LEVER_X)
+    x, y, z = arm_of(mem, at)
     north, east, down = rotate(c, x, y, z)
     mem[at + Event.Z_N], mem[at + Event.Z_E], mem[at + Event.Z_D] = _antenna_minus_fix(mem, r, at, north, east, down)
     add_attitude_error(mem, h, n, north, east, down)

@@ -13,14 +13,11 @@ from mems_ins_fusion.compiled import njit
 
 from ...parameters.parameter import Parameter
 from ...samples import Pressures
-from ..memory import HEAD, Error, Event, Kind, Nav
+from ..memory import Error, Event, Kind, Nav
 from .base import Measurement
-from .geometry import add, own_state
+from .geometry import add
 from .records import empty, refuse, stated_or
 from .time_offset import add_time_offset
-
-#: index of the optional state pressure_bias among all n, m: height by pressure minus true height; -1: none
-Barometer = HEAD.place('Barometer', BIAS=1)
 
 
 @njit(_nrt=False)
@@ -29,7 +26,7 @@ def observe(mem, r, at, h):
     mem[at + Event.Z_N] = mem[r + Nav.HEIGHT] - mem[at + Event.VALUE]
     add(mem, h, Error.R_D, -1.0)
     add_time_offset(mem, at, h, -mem[r + Nav.V_D])
-    bias = own_state(mem, at, Barometer.BIAS)
+    bias = int(mem[at + Event.STATE])
     if bias >= 0:
         mem[h + bias] = -1.0
     return 1
@@ -63,7 +60,7 @@ class Pressure(Measurement):
     topic_text = 'Topic of the pressure of the air, Pa: sensor_msgs/FluidPressure (strapdown)'
     messages = {'sensor_msgs/msg/FluidPressure': ('fluid_pressure', 'variance')}
     layouts = {'sensor_msgs/msg/FluidPressure': (('fluid_pressure', '<f8', 1), ('variance', '<f8', 1))}
-    written_to, state_column, needs_height = '/pressure', Barometer.BIAS, True
+    written_to, needs_height = '/pressure', True
     #: Pa, white noise; m, standard deviation of the height's bias, drawn for each seed; m/sqrt(s), its random walk
     simulated_with = {'pressure_rate': 0.0, 'pressure_sigma': 5.0, 'pressure_bias': 80.0, 'pressure_walk': 0.05}
 

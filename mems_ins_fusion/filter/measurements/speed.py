@@ -11,7 +11,7 @@ from ...parameters.parameter import Parameter
 from ...samples import Speeds
 from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, covariance36
-from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
+from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, vehicle_to_level
 from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
 from .time_offset import acceleration, add_time_offset
 
@@ -19,17 +19,17 @@ from .time_offset import acceleration, add_time_offset
 @njit(_nrt=False)
 def observe(mem, r, at, h, c, sample):
     """Speed, positive forward; one component. measured = (1 + scale) true."""
-    _, y, z = arm_of(mem, at, Head.AXLE_X)
+    _, y, z = arm_of(mem, at)
     _, w_y, w_z = angular_rate(mem, r, sample)
     c = vehicle_to_level(mem, r, c)
     add_body_velocity(mem, r, h, c, 0, 1.0)
     mem[at + Event.Z_N] = body_velocity(mem, r, c, 0) + w_y * z - w_z * y
     add_time_offset(mem, at, h, along(acceleration(mem, r), c, 0))
     across, gyroscope = int(mem[Head.AXLE_ACROSS]), channel_of(mem, 5)
-    scale = own_state(mem, at, Head.SPEED_SCALE)
+    scale = int(mem[at + Event.STATE])
     if scale >= 0:
         mem[h + scale] = -mem[at + Event.Z_N]
-    if mem[at + Event.INPUT] == 0.0:
+    if mem[at + Event.AT_AXLE] != 0.0:
         if across >= 0:
             mem[h + across] = w_z
     elif gyroscope >= 0:  # with a lateral arm the speed contains the turn rate; `update` subtracts H times the estimate
@@ -43,8 +43,7 @@ class Speed(Measurement):
     kind, name, samples, unit, default_sigma = Kind.SPEED, 'speed', Speeds, 'm/s', 0.1
     topic_text = ('Topic of the speed at the rear axle, m/s, forward positive: '
                   'geometry_msgs/TwistWithCovarianceStamped or nav_msgs/Odometry, twist.linear.x')
-    offset, state_column = 'scale', Head.SPEED_SCALE
-    has_arm = True
+    offset, has_arm = 'scale', True
     messages = {TWIST: ('twist.twist.linear', 'twist.covariance'), ODOMETRY: ('twist.twist.linear', 'twist.covariance')}
     written_to = '/wheel/speed'
     #: m/s, white noise of the rear wheels' speed; standard deviation of its scale factor error, drawn for each seed

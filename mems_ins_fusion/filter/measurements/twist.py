@@ -14,14 +14,11 @@ from mems_ins_fusion.compiled import njit
 from ...navigation.frames import FLU_TO_FRD
 from ...parameters.parameter import Parameter
 from ...samples import Twists
-from ..memory import HEAD, NAV, Event, Head, Kind, channel_of
+from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, SensorSettings, covariance36
-from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
+from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, vehicle_to_level
 from .records import FASTEST, SMALLEST_SPEED_SIGMA, STEP, empty, refuse, stated_or, velocity_at
 from .time_offset import acceleration, add_time_offset
-
-#: index of the optional state twist_scale among all n, which twist_turn_scale follows; -1: neither
-Scales = HEAD.place('Scales', TWIST=1)
 
 
 @njit(_nrt=False)
@@ -31,9 +28,9 @@ def observe(mem, r, at, h, n, c, sample):
     A component that was not measured (NaN in the record) has a row of zeros in H.
     """
     w_x, w_y, w_z = angular_rate(mem, r, sample)
-    x, y, z = arm_of(mem, at, Head.AXLE_X)
+    x, y, z = arm_of(mem, at)
     c = vehicle_to_level(mem, r, c)
-    scale, gyroscope = own_state(mem, at, Scales.TWIST), channel_of(mem, 5)
+    scale, gyroscope = int(mem[at + Event.STATE]), channel_of(mem, 5)
     forward = body_velocity(mem, r, c, 0) + w_y * z - w_z * y
     right = body_velocity(mem, r, c, 1) + w_z * x - w_x * z
     mem[at + Event.Z_N] = forward - mem[at + Event.VALUE]
@@ -48,7 +45,7 @@ def observe(mem, r, at, h, n, c, sample):
         if scale >= 0:
             mem[h + n + scale] = -right
         axle = int(mem[Head.AXLE])
-        if axle >= 0 and mem[at + Event.INPUT] == 0.0:
+        if axle >= 0 and mem[at + Event.AT_AXLE] != 0.0:
             mem[h + n + axle] = -w_z
     if gyroscope >= 0 and not math.isnan(mem[at + Event.VALUE + 2]):
         turn_scale = mem[r + NAV + scale + 1] if scale >= 0 else 0.0
@@ -72,7 +69,7 @@ class Twist(Measurement):
     kind, name, samples, unit, default_sigma = Kind.TWIST, 'twist', Twists, 'm/s', 0.1
     topic_text = ('Topic of the odometry of wheels, a lidar or a camera, base_link: twist of nav_msgs/Odometry or '
                   'geometry_msgs/TwistWithCovarianceStamped; the source must not use the fixes')
-    components, has_arm, state_column = 2, True, Scales.TWIST
+    components, has_arm = 2, True
     messages = {ODOMETRY: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance'),
                 TWIST: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance')}
     written_to = '/wheel/odometry'

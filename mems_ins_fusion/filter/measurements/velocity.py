@@ -9,7 +9,7 @@ from mems_ins_fusion.compiled import njit
 
 from ...navigation.frames import ned_covariance_from_enu, ned_from_enu
 from ...samples import Velocities
-from ..memory import Error, Event, Head, Kind, Nav, row_of
+from ..memory import Error, Event, Kind, Nav, row_of
 from .base import TWIST, Measurement, covariance36
 from .geometry import add, add_attitude_error, angular_rate, arm_of, rotate
 from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
@@ -20,7 +20,7 @@ from .time_offset import acceleration, add_time_offset
 def observe(mem, r, at, h, n, c, sample):
     """Velocity of the antenna. Returns the number of components: two where the record's vertical one is NaN."""
     w_x, w_y, w_z = angular_rate(mem, r, sample)
-    x, y, z = arm_of(mem, at, Head.LEVER_X)
+    x, y, z = arm_of(mem, at)
     north, east, down = rotate(c, w_y * z - w_z * y, w_z * x - w_x * z, w_x * y - w_y * x)  # w x arm
     mem[at + Event.Z_N] = mem[r + Nav.V_N] + north - mem[at + Event.VALUE]
     mem[at + Event.Z_E] = mem[r + Nav.V_E] + east - mem[at + Event.VALUE + 1]

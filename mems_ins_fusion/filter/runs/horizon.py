@@ -38,7 +38,7 @@ from ..memory import (
 )
 from ..prediction import predict
 from ..trust.inputs import SPEED_LASTS
-from ..trust.scale import KINDS, Kinds, Seen, scale
+from ..trust.scale import scale, seen_of
 from ..update import begin_update, end_update, update
 from .odometry import added_covariance
 
@@ -163,7 +163,7 @@ def _take_speed(mem, r, sample, interval):
     mem[at + Event.Z_N] = 0.0
     for i in range(n):
         mem[at + Event.Z_N] += mem[h + i] * mem[r + NAV + i]
-    factor = max(scale(mem, r + Kinds.SEEN + Seen.SIZE * (int(Kind.SPEED) % KINDS)), 1.0)
+    factor = max(scale(mem, seen_of(mem, r, at)), 1.0)
     update(mem, r, at, n, dimensions, factor * max(interval, SPEED_LASTS) / STEP, 0.0, 0.0, 0.0)
     end_update(mem, r)
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -103,6 +104,7 @@ class Intake:
         self._step_back = round(config.imu.max_gap * 1e9)
         # computed once: these properties are too slow for each message
         self._latest, self._offsets = config.latest, {kind: config.time_offset_of(kind) for kind in config.inputs}
+        self._of_input = cache(config.of_input)
         # stamp of the last measurement that was ahead of the IMU, and the stamp of the newest IMU sample at that time
         self._ahead = dict.fromkeys(config.inputs, (0, 0))
         #: reason of the latest refusal by `measured`, without numbers
@@ -168,11 +170,7 @@ class Intake:
         if len(used) < len(records) or warnings:
             self._explain(kind, codes, stamp, newest, late, reasons, warnings)
             records = records[used]
-        records[:, Event.TIME_OFFSET] = max(self.config.layout.index(measurement.time_offset_state), 0)
-        if not measurement.is_plain:
-            records[:, Event.INPUT] = measurement.event_input
-            records[:, Event.STATE] = self.config.layout.index(measurement.state)
-            records[:, Event.ARM:Event.ARM + 3] = measurement.arm
+        records[:, Event.INPUT:Event.INPUT_END] = self._of_input(kind)
         return used, records
 
     def _explain(self, kind: int, codes, stamp, newest, late: int, reasons: dict, warnings: dict) -> None:

@@ -116,13 +116,18 @@ class Replay(Intake):
         self.imu, self.given = imu, given
         self.keep = np.ones(len(imu), dtype=bool) if keep is None else keep
         self.begin, self.duration = begin, duration
-        self.inputs = {kind: fixes if kind == Kind.POSITION else aiding.get(measurement.name)
-                       for kind, measurement in config.inputs.items()}
+        self.inputs = {Kind.POSITION: fixes}
+        for kind, measurement in config.inputs.items():
+            samples = aiding.get(measurement.name)
+            if samples is not None and self.topic(kind):
+                self.inputs[kind] = samples
+            elif samples is not None:
+                self.say('warning', f'{measurement.topic} is empty: {measurement.name} not used')
         #: numbers of the inputs that an outage withholds
         self.withheld = [kind for kind, measurement in config.inputs.items() if measurement.from_satellites]
         # a measurement that arrived at the same time as a sample is processed after the sample
         self.arrival = {kind: np.searchsorted(imu.received, samples.received, side='right')
-                        for kind, samples in self.inputs.items() if samples is not None}
+                        for kind, samples in self.inputs.items()}
         self.columns = columns(config.layout)
         self.stretches: list[Stretch] = []
         self.branches: list[Stretch] = []

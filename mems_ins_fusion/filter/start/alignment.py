@@ -99,7 +99,7 @@ class Alignment:
 
     def add_field(self, record: np.ndarray) -> None:
         """Add one magnetic field, as a record."""
-        if record[Event.INPUT] == self._magnetometer.event_input:
+        if record[Event.INPUT] == self.config.of_input(self._magnetometer.number)[0]:
             self._fields.append((record[Event.TIME], *record[Event.VALUE:Event.VALUE + 3], record[Event.R_NN],
                                  record[Event.DECLINATION]))
 

@@ -10,10 +10,10 @@ the filter says of them, is its *score*:
 The second is begun where a fix is so unlikely that the receiver may have failed, and ends where it has lost or both
 agree (`bank.py`). Where several fixes have been refused in a row, the published filter takes them for wrong, and the
 second one starts anew from them. What is published is the filter with the better score; one that uses no fixes only
-where it has refused them, or where they drift away (`fix_drift.py`). Its covariance is that of both: it reaches to
-where the other filter is, as long as that may be right. (D. T. Magill, "Optimal adaptive estimation of sampled
-stochastic processes", IEEE Trans. Automatic Control 10, 1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting
-multiple model algorithm for systems with Markovian switching coefficients", the same 33, 1988.)
+where it has refused them, or where they drift away (`fix_drift.py`). Its covariance is that of both. (D. T. Magill,
+"Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic Control 10, 1965; H. A. P. Blom and
+Y. Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients", the same
+33, 1988.)
 """
 from __future__ import annotations
 
@@ -33,7 +33,6 @@ Hypothesis = ROW.place(
     OFFSET=2,  # m, north and east, predicted minus measured: by what they are off,
     DRIFT=2,  # m/s, by what that changes,
     VARIANCE=3,  # of an offset, m^2, with its drift, m^2/s, and of that, m^2/s^2, the same for both axes; 0: none yet,
-    BEGUN=1,  # s: since when that offset goes on, without a jump,
     STARTS=1,  # 1: the next fix is one that position and velocity start anew from,
     FITS=1,  # 1: no row of fixes has been refused since that, or since fixes were followed that another takes for wrong
     SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
@@ -50,13 +49,8 @@ JUMPS = 1.0 / 20.0
 RANGE = math.log(1000.0)
 #: m/s: sigma of the drift of wrong fixes, of a receiver that loses its satellites one by one
 DRIFT = 3.0
-#: m/s: the same of fixes that have jumped beyond the gate: a reflected signal or a wrong integer changes slowly, and
-#: the velocity of a filter that uses no fixes is off by as much after some seconds
-DRIFT_OF_JUMP = 0.5
 #: sigma beyond which wrong fixes certainly drift, and are beside the way of the vehicle
 CERTAIN = 3.0
-#: share of their offset that this drift explains at least, since it last jumped: half, as its begin is known to seconds
-EXPLAINED = 0.5
 #: m^2/s and m^2/s^3, variances that offset and drift gather: of a receiver's filter, not of a vehicle that manoeuvres
 WANDERS, TURNS = 0.002, 0.002
 #: nats: a filter has strayed from fixes that it has refused (a wrong heading, a standstill that was none) once in 50 h,
@@ -66,10 +60,6 @@ IMU_WRONG = math.log(1.0 / 3.6e5)
 #: nats by which fixes that are refused in a row are more likely wrong than those before them were: the end of a fault
 #: is as frequent as its begin, but few faults begin unseen
 FIXES_RIGHT = 4.5
-#: probability of a hypothesis from which on the published 95 % ellipse holds it
-POSSIBLE = 0.01
-#: sigmas of a 95 % ellipse: the root of the 95 % quantile of chi-square with 2 degrees of freedom
-ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
 #: nats: a hypothesis that is less likely by so many has lost
 LOST = 9.0
 #: s for which errors of a receiver last at least: fixes that come faster count for less
@@ -102,8 +92,7 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
         return True
     # the first of them is wrong: else the doubts had begun with a later one
     ended = 1.0 - math.exp(-ENDS * interval) if mem[r + Hypothesis.VARIANCE] != 0.0 else 0.0
-    wrong = _wrong(mem, r, mem[at + Event.TIME], z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), nis, anywhere,
-                   interval)
+    wrong = _wrong(mem, r, z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), anywhere, interval)
     again, still = ended * right, (1.0 - ended) * wrong
     mem[r + Hypothesis.SCORE] += counts * math.log(again + still)
     if again > still:
@@ -120,18 +109,7 @@ def most_behind(mem, since):
 
 
 @njit(_nrt=False)
-def reach(share, distance):
-    """Sigmas by which the published covariance reaches to another filter, whose probability is `share`.
-
-    That of the mixture of both, but no less than a 95 % ellipse that has the other filter in it: where that is possible
-    to one in a hundred, and not further away, `distance` m, than fixes that drift away take a filter.
-    """
-    possible = share * math.exp(-0.5 * (distance * ENDS / DRIFT) ** 2)
-    return max(math.sqrt(share), 1.0 / ELLIPSE if possible > POSSIBLE else 0.0)
-
-
-@njit(_nrt=False)
-def _wrong(mem, r, time, z_n, z_e, r_nn, nis, anywhere, interval):
+def _wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
     """Density, 1/m^2, of a fix that is off by z of a wrong receiver, from which its offset is learned. r_nn: m^2, of
     the scatter about that."""
     offset, drift, variance = r + Hypothesis.OFFSET, r + Hypothesis.DRIFT, r + Hypothesis.VARIANCE
@@ -161,8 +139,7 @@ def _wrong(mem, r, time, z_n, z_e, r_nn, nis, anywhere, interval):
     if jumped:
         mem[offset], mem[offset + 1], mem[drift], mem[drift + 1] = z_n, z_e, 0.0, 0.0
         mem[variance], mem[variance + 1] = r_nn, 0.0
-        mem[variance + 2] = (DRIFT_OF_JUMP if nis > mem[Head.GATE] ** 2 else DRIFT) ** 2
-        mem[r + Hypothesis.BEGUN] = time
+        mem[variance + 2] = DRIFT**2
     return density
 
 
@@ -178,16 +155,14 @@ def doubt(mem, r, interval):
 
 @njit(_nrt=False)
 def is_drifting(mem, r):
-    """Whether the fixes that the filter with the state at r takes for wrong certainly drift away: they have not jumped,
-    and are not only off along the velocity, as fixes are that are stamped late."""
+    """Whether the fixes that the filter with the state at r takes for wrong certainly drift away: not only along the
+    velocity, as fixes do that are stamped later and later."""
     offset_n, offset_e = mem[r + Hypothesis.OFFSET], mem[r + Hypothesis.OFFSET + 1]
     drift = math.hypot(mem[r + Hypothesis.DRIFT], mem[r + Hypothesis.DRIFT + 1])
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
-    since = mem[r + Nav.FIX_TIME] - mem[r + Hypothesis.BEGUN]
     beside = abs(offset_n * mem[r + Nav.V_E] - offset_e * mem[r + Nav.V_N])  # times the speed
     return (drift > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE + 2])
-            and beside > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE]) * speed
-            and drift * since > EXPLAINED * math.hypot(offset_n, offset_e))
+            and beside > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE]) * speed)
 
 
 @njit(_nrt=False)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import HEAD, Head, Nav
+from ..memory import HEAD, Nav
 from .standstill import MOVING_SPEED
 
 
@@ -23,15 +23,13 @@ class _Fault(NamedTuple):
     SATURATED: int = 3  # an axis stays at a large value to the last digit
     FROZEN: int = 4  # an axis that always changes repeats itself to the last digit while the vehicle moves, or all do
     ZERO: int = 5  # all axes zero: no gravity
-    WHIRL: int = 6  # a turn that no wheels hold at that speed
-    DOUBTED: int = 7  # nothing wrong with it, but the fixes have contradicted those before it
-    SIZE: int = 8
+    DOUBTED: int = 6  # nothing wrong with it, but the fixes have contradicted those before it
+    SIZE: int = 7
 
 
 Fault = _Fault()
 #: in words, by number
 FAULTS = ('', 'out of range', 'spike', 'saturated', 'frozen', 'all zero',
-          'a turn that is too fast for the speed (imu.rate_unit?)',
           'contradicted by the fixes (units? imu.mounting_rpy?)')
 
 #: settings, and what has been seen of the samples as they came, sensor axes
@@ -47,8 +45,7 @@ Imu = HEAD.place(
     VARIED=1,  # samples that differ from the one before
     SPIKE_SINCE=1,  # s
     BELIEVED=1,  # samples believed so far
-    FAULTS=Fault.SIZE,  # samples not believed, by reason
-    WHIRLED=1)  # s of turns too fast for the speed, lately
+    FAULTS=Fault.SIZE)  # samples not believed, by reason
 
 #: time constant of the running mean that neighbours are told by, s
 NEIGHBOURHOOD = 0.2
@@ -72,14 +69,6 @@ FROZEN_TIME = 0.3
 FEWEST_STUCK = 5.0
 #: share of the samples: the digits of axes that change more rarely are coarse
 ALWAYS = 0.9
-#: m/s^2: speed times turn rate, the lateral acceleration, that no wheels hold
-FASTEST_WHIRL = 50.0
-#: s: it may last for so long in all before the sensor is not believed any more
-LONGEST_WHIRL = 0.5
-#: s/s: so fast it is forgotten: some minutes
-FORGET_WHIRL = 0.01
-#: s: and so much of it is remembered at most
-MOST_WHIRL = 3.0
 #: s: a filter that has strayed from fixes that were right does not believe the IMU for so long, twice as long each
 #: further time
 DOUBT_TIME = 60.0
@@ -88,22 +77,8 @@ DOUBT_TIME = 60.0
 @njit(_nrt=False)
 def is_doubted(mem, r, time):
     """Whether what the fixes have shown till the state at r speaks against the IMU at `time`."""
-    if mem[Imu.WHIRLED] > LONGEST_WHIRL:
-        return True
     lasts = DOUBT_TIME * 2.0 ** (mem[r + Nav.STRAYED] - 1.0)
     return mem[r + Nav.STRAYED] >= 1.0 and time - mem[r + Nav.STRAYED_TIME] < lasts
-
-
-@njit(_nrt=False)
-def _whirls(mem, speed, dt):
-    """Whether the vehicle would have to turn faster than it can at this speed, m/s; how long it has is remembered."""
-    turn = mem[Head.OFFSET + 5]
-    for j in range(6):
-        turn += mem[Head.CONDITIONING + 30 + j] * mem[Imu.RAW + j]
-    whirls = speed * abs(turn) > FASTEST_WHIRL
-    mem[Imu.WHIRLED] = min(mem[Imu.WHIRLED] + dt, MOST_WHIRL) if whirls else max(
-        mem[Imu.WHIRLED] - FORGET_WHIRL * dt, 0.0)
-    return whirls
 
 
 @njit(_nrt=False)
@@ -141,8 +116,6 @@ def check(mem, samples, k, dt, speed, doubted, before=Fault.NONE):
         fault = Fault.FROZEN
     elif _is_spike(mem, time):
         fault = Fault.SPIKE
-    elif _whirls(mem, speed, dt):
-        fault = Fault.WHIRL
     elif doubted:
         fault = Fault.DOUBTED
     if fault != Fault.NONE:

@@ -9,8 +9,8 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..measurements import heading, magnetometer, pressure, twist
-from ..measurements.geometry import angular_rate, arm_of, body_velocity, own_state, rotate, vehicle_to_level
+from ..measurements import magnetometer
+from ..measurements.geometry import angular_rate, arm_of, body_velocity, rotate, vehicle_to_level
 from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
 from . import clock_jump, contradiction, receiver, repeats, way
@@ -166,11 +166,8 @@ def _constant_error(mem, at):
     """Index of the state that is the constant error of the input at `at`, -1: none: scale factor error of a speed or an
     odometry, offset of a heading."""
     kind = mem[at + Event.KIND]
-    if kind == Kind.SPEED:
-        return own_state(mem, at, Head.SPEED_SCALE)
-    if kind == Kind.TWIST:
-        return own_state(mem, at, twist.Scales.TWIST)
-    return own_state(mem, at, heading.Offsets.HEADING) if kind == Kind.HEADING else -1
+    is_one = kind == Kind.SPEED or kind == Kind.TWIST or kind == Kind.HEADING
+    return int(mem[at + Event.STATE]) if is_one else -1
 
 
 @njit(_nrt=False)
@@ -192,12 +189,11 @@ def add_to_way(mem, r, at, n, c, sample):
 
     Wheels tell the velocity of the axle, which does not go sideways. That of the antenna differs by the turn rate.
     """
-    x, y, z = arm_of(mem, at, Head.AXLE_X)
+    x, y, z = arm_of(mem, at)
     yaw_variance, density = 0.0, SPEED_LASTS * mem[at + Event.R_NN]
     kind, error = mem[at + Event.KIND], _constant_error(mem, at)
     known = mem[r + NAV + error] if error >= 0 else 0.0
     if kind == Kind.VELOCITY:  # it has directions of its own
-        x, y, z = arm_of(mem, at, Head.LEVER_X)
         v_n, v_e = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
     elif is_of_heading(kind):  # a way in the direction of the heading
         forward = body_velocity(mem, r, vehicle_to_level(mem, r, c), 0)
@@ -244,7 +240,7 @@ def leave_out_turn_rate(mem, r, at, n):
 def take_step(mem, r, at, n):
     """A pressure that is far off at once is another air - a door, a fan, a tunnel - and not another height: its bias
     takes what it is off by."""
-    bias, h = own_state(mem, at, pressure.Barometer.BIAS), int(mem[Head.SCRATCH_AT]) + n * n
+    bias, h = int(mem[at + Event.STATE]), int(mem[Head.SCRATCH_AT]) + n * n
     innovation = mem[at + Event.Z_N] - product(mem, n, h, r + NAV)
     if bias >= 0 and innovation**2 > FAR**2 * (mem[at + Event.R_NN] + project(mem, n, h, h + 3 * n)):
         mem[r + NAV + bias] -= innovation

@@ -203,7 +203,8 @@ def _strayed(mem, r, time):
     if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
         return False  # who hardly moves cannot stray
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
-    return slope > max(STRAYED_SLOPE, CERTAIN * math.sqrt(variance)) and slope * (time - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size
+    return (slope > max(STRAYED_SLOPE, CERTAIN * math.sqrt(variance))
+            and slope * (time - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size)
 
 
 @njit(_nrt=False)

@@ -18,7 +18,9 @@ from .scale import Seen, seen_of
 from .standstill import moves
 
 #: of a state
-Repeats = ROW.place('Repeats', STUCK=1)  # 1: the receiver has repeated its position while the vehicle moved, and still does
+Repeats = ROW.place(
+    'Repeats',
+    STUCK=1)  # 1: the main receiver has repeated its position while the vehicle moved, and has done so ever since
 #: changes that rounding leaves unsaid: of a speed, m/s, and of a heading, rad, some steps of the coarsest there are
 ROUNDED_SPEED, ROUNDED_HEADING = 1.0, 0.1
 #: and of what the inertial sensors may be wrong by: m/s^2, a tilt of two degrees, and rad/s

@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import HEAD, INPUT_SIZE, ROW, Event, Head
+from ..memory import HEAD, INPUT_SIZE, Event, Head
 
 
 class _Scale(NamedTuple):
@@ -76,14 +76,8 @@ class _Seen(NamedTuple):
 
 
 Seen = _Seen()
-#: of a state: what is seen of each kind of measurement but the fixes, by its number modulo this
-KINDS = 7
-Kinds = ROW.place('Kinds', SEEN=Seen.SIZE * KINDS)
 assert Seen.SIZE == INPUT_SIZE
-Inputs = HEAD.place(
-    'Inputs',
-    COUNT=1,  # how many inputs have a name
-    UNNAMED=1)  # 1: there has been a measurement, other than a fix, of one without; else all of `Kinds` is zero
+Inputs = HEAD.place('Inputs', COUNT=1)  # how many inputs there are but the fixes
 #: variance of the logarithm before anything is seen: a claimed sigma is off by a factor of three, one sigma
 PRIOR = 4.8
 #: 1/s: a scale becomes another one once in twenty minutes: what a drive through a city brings
@@ -110,10 +104,7 @@ WEIGHTS = tuple(0.5 / math.sqrt(2.0 * math.pi) * math.exp(-0.5 * node * node) fo
 @njit(_nrt=False)
 def seen_of(mem, r, at):
     """Position of what is seen (`Seen`) of the input that the record at `at` is from, in the state at r."""
-    number = int(mem[at + Event.INPUT])
-    if number == 0:
-        return r + Kinds.SEEN + Seen.SIZE * (int(mem[at + Event.KIND]) % KINDS)
-    return r + int(mem[Head.WIDTH]) - Seen.SIZE * (int(mem[Inputs.COUNT]) - number + 1)
+    return r + int(mem[Head.WIDTH]) - Seen.SIZE * int(mem[at + Event.INPUT])
 
 
 @njit(_nrt=False)

@@ -16,7 +16,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..memory import INPUT_SIZE, Event, Head, Nav, nonnegative
-from .scale import KINDS, Inputs, Kinds, Seen
+from .scale import Inputs, Seen
 
 #: variance of that share before any way is compared: a speed is off by a fifth
 PRIOR = 0.04
@@ -79,8 +79,6 @@ def travel(mem, own, time, v_n, v_e, density, yaw_variance, tells_direction):
 @njit(_nrt=False)
 def compare(mem, r, at, variance):
     """Compare the ways of all inputs of the state at r with that to the fix at `at`; variance: of a component, m^2."""
-    for kind in range(KINDS):
-        _compare(mem, r, at, nonnegative(r + Kinds.SEEN + Seen.SIZE * kind), variance)
     width, inputs = int(mem[Head.WIDTH]), int(mem[Inputs.COUNT])
     for i in range(inputs):
         _compare(mem, r, at, nonnegative(r + width - INPUT_SIZE * (i + 1)), variance)
