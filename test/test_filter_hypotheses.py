@@ -29,6 +29,7 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     is_drifting,
     judge,
     most_behind,
+    reach,
 )
 from mems_ins_fusion.filter.trust.new_start import are_refused
 from mems_ins_fusion.filter.trust.receiver import Receiver
@@ -91,6 +92,16 @@ def test_refused_fixes_are_as_likely_right_as_wrong_after_the_recovery_time():
     _, memory, _ = a_state(**{'gnss.recovery_time': 40.0})
     nats = [most_behind(memory, since) for since in (0.0, 20.0, 40.0)]
     assert nats == pytest.approx([FIXES_RIGHT, FIXES_RIGHT / 2, 0.0])
+
+
+def test_the_published_ellipse_reaches_to_a_filter_that_may_be_right():
+    # given two filters 30 m apart, the probability of the second 0.5, 0.02 and 0.001
+    radius = math.sqrt(chi2.ppf(0.95, 2))
+    assert radius * reach(0.5, 30.0) == pytest.approx(radius * math.sqrt(0.5))
+    assert radius * reach(0.02, 30.0) == pytest.approx(1.0)
+    assert reach(0.001, 30.0) == pytest.approx(math.sqrt(0.001))
+    # and one further away than a filter is taken by fixes that drift away
+    assert reach(0.02, 300.0) == pytest.approx(math.sqrt(0.02))
 
 
 @BOTH

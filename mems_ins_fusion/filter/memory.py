@@ -465,7 +465,7 @@ class _Event(NamedTuple):
     V_E: int = column()
     WITHDRAWN: int = column()  # 1: a later measurement has shown that it is wrong
     # what belongs to its input, as `FilterConfig.of_input` has it
-    INPUT: int = column()  # number of its input, from 1 on, in the order of the statistics at the end of a row; 0: a fix
+    INPUT: int = column()  # number of its input from 1 on, in the order of the statistics at the end of a row; 0: fix
     STATE: int = column()  # index of its first optional state among all n; -1: none
     TIME_OFFSET: int = column()  # index of the state of its time offset among all n; 0 (a position state): none
     AT_AXLE: int = column()  # 1: of the axle that does not steer, whose place is estimated

@@ -28,6 +28,10 @@ FIRST_USUAL = 0.25
 LARGEST_LESSON = 10.0
 #: a slide is a mean NIS of this many times the usual: measured drives stay below 29
 SLIDE = 40.0
+#: and this mean NIS at least: below half a sigma there is nothing to explain, however quiet the vehicle usually is
+SMALLEST_SLIDE = 0.2
+#: times the usual, while unsettled: who slid a moment ago does so again more easily
+SLIDE_AGAIN = 10.0
 #: s for which the fixes decide after a slide: in that time a heading is found again from them
 UNSETTLED_TIME = 20.0
 #: m/s, speed below which a slide tells no more of the heading than at it: the ratio of the two would be without bound
@@ -46,8 +50,9 @@ def slides(mem, r, innovation, s, since):
     usual = mem[r + Nav.USUAL_SLIDING]
     mem[r + Nav.SLIDING] += (nis - mem[r + Nav.SLIDING]) * min(since / NOW, 1.0)
     mem[r + Nav.USUAL_SLIDING] += (min(nis, LARGEST_LESSON * usual) - usual) * min(since / USUALLY, 1.0)
+    times = SLIDE_AGAIN if mem[r + Nav.UNSETTLED] > 0.0 else SLIDE
     mem[r + Nav.UNSETTLED] = max(mem[r + Nav.UNSETTLED] - since, 0.0)
-    return mem[r + Nav.SLIDING] > SLIDE * usual
+    return mem[r + Nav.SLIDING] > max(times * usual, SMALLEST_SLIDE)
 
 
 @njit(_nrt=False)

@@ -10,10 +10,10 @@ the filter says of them, is its *score*:
 The second is begun where a fix is so unlikely that the receiver may have failed, and ends where it has lost or both
 agree (`bank.py`). Where several fixes have been refused in a row, the published filter takes them for wrong, and the
 second one starts anew from them. What is published is the filter with the better score; one that uses no fixes only
-where it has refused them, or where they drift away (`fix_drift.py`). Its covariance is that of both. (D. T. Magill,
-"Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic Control 10, 1965; H. A. P. Blom and
-Y. Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients", the same
-33, 1988.)
+where it has refused them, or where they drift away (`fix_drift.py`). Its covariance is that of both: it reaches to
+where the other filter is, as long as that may be right. (D. T. Magill, "Optimal adaptive estimation of sampled
+stochastic processes", IEEE Trans. Automatic Control 10, 1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting
+multiple model algorithm for systems with Markovian switching coefficients", the same 33, 1988.)
 """
 from __future__ import annotations
 
@@ -60,6 +60,10 @@ IMU_WRONG = math.log(1.0 / 3.6e5)
 #: nats by which fixes that are refused in a row are more likely wrong than those before them were: the end of a fault
 #: is as frequent as its begin, but few faults begin unseen
 FIXES_RIGHT = 4.5
+#: probability of a hypothesis from which on the published 95 % ellipse holds it
+POSSIBLE = 0.01
+#: sigmas of a 95 % ellipse: the root of the 95 % quantile of chi-square with 2 degrees of freedom
+ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
 #: nats: a hypothesis that is less likely by so many has lost
 LOST = 9.0
 #: s for which errors of a receiver last at least: fixes that come faster count for less
@@ -106,6 +110,17 @@ def most_behind(mem, since):
     wrong, `since` s after these began: after `gnss.recovery_time` both are as likely, as a receiver is seldom off by
     the same for so long."""
     return FIXES_RIGHT * (1.0 - since / mem[Head.RECOVERY_TIME])
+
+
+@njit(_nrt=False)
+def reach(share, distance):
+    """Sigmas by which the published covariance reaches to another filter, whose probability is `share`.
+
+    That of the mixture of both, but no less than a 95 % ellipse that has the other filter in it: where that is possible
+    to one in a hundred, and not further away, `distance` m, than fixes that drift away take a filter.
+    """
+    possible = share * math.exp(-0.5 * (distance * ENDS / DRIFT) ** 2)
+    return max(math.sqrt(share), 1.0 / ELLIPSE if possible > POSSIBLE else 0.0)
 
 
 @njit(_nrt=False)
