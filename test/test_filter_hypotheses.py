@@ -96,7 +96,7 @@ def test_fixes_that_have_jumped_beyond_the_gate_hardly_drift(z, sigma):
     memory[r + Nav.FIX_TIME] = 1.0
     doubt(memory, r, 1.0)
     judged(memory, r, np.array(z), 2.0)
-    assert memory[r + Hypothesis.VARIANCE + 2] == pytest.approx(sigma**2) and memory[r + Hypothesis.BEGUN] == 2.0
+    assert memory[r + Hypothesis.VARIANCE + 2] == pytest.approx(sigma**2)
 
 
 def test_refused_fixes_are_as_likely_right_as_wrong_after_the_recovery_time():
@@ -171,18 +171,16 @@ def test_fixes_that_drift_away_are_left(mechanization):
     assert off.max() < 12.0 and off[round(50 * 53.6):].max() < 2.0
 
 
-@pytest.mark.parametrize('offset, drift, since, is_so', [  # since: s, that they are off without a jump
-    ((0.0, 20.0), (0.0, 3.0), 8.0, True),  # 20 m beside the way within 8 s
-    ((0.0, 20.0), (0.0, 3.0), 2.0, False),  # most of that at once
-    ((20.0, 0.0), (3.0, 0.0), 8.0, False),  # ahead of a vehicle that goes north: stamps may be late
-    ((0.0, 20.0), (0.0, 0.2), 80.0, False)])  # a drift of two sigma
-def test_fixes_drift_that_leave_the_way_of_the_vehicle_little_by_little(offset, drift, since, is_so):
+@pytest.mark.parametrize('offset, drift, is_so', [
+    ((0.0, 20.0), (0.0, 3.0), True),  # 20 m beside the way
+    ((20.0, 0.0), (3.0, 0.0), False),  # ahead of a vehicle that goes north: stamps may be late
+    ((0.0, 20.0), (0.0, 0.2), False)])  # a drift of two sigma
+def test_fixes_drift_that_leave_the_way_of_the_vehicle(offset, drift, is_so):
     _, memory, r = a_state()
     memory[r + Hypothesis.DOUBTS] = 1.0
     memory[r + Hypothesis.OFFSET:r + Hypothesis.OFFSET + 2] = offset
     memory[r + Hypothesis.DRIFT:r + Hypothesis.DRIFT + 2] = drift
     memory[r + Hypothesis.VARIANCE:r + Hypothesis.VARIANCE + 3] = 1.0, 0.05, 0.01
-    memory[r + Nav.FIX_TIME], memory[r + Hypothesis.BEGUN] = 100.0, 100.0 - since
     assert is_drifting(memory, r) == is_so
 
 

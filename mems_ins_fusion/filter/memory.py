@@ -86,7 +86,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
     RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
     RECOVERIES: int = column()  # restarts from fixes that had been refused
-    MECHANISMS: int = column(203)  # the first of those declared in other files (`ROW`), and room for them
+    MECHANISMS: int = column(202)  # the first of those declared in other files (`ROW`), and room for them
     SIZE: int = column(0)
 
 

@@ -33,7 +33,6 @@ Hypothesis = ROW.place(
     OFFSET=2,  # m, north and east, predicted minus measured: by what they are off,
     DRIFT=2,  # m/s, by what that changes,
     VARIANCE=3,  # of an offset, m^2, with its drift, m^2/s, and of that, m^2/s^2, the same for both axes; 0: none yet,
-    BEGUN=1,  # s: since when that offset goes on, without a jump,
     STARTS=1,  # 1: the next fix is one that position and velocity start anew from,
     FITS=1,  # 1: no row of fixes has been refused since that, or since fixes were followed that another takes for wrong
     SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
@@ -55,8 +54,6 @@ DRIFT = 3.0
 DRIFT_OF_JUMP = 0.5
 #: sigma beyond which wrong fixes certainly drift, and are beside the way of the vehicle
 CERTAIN = 3.0
-#: share of their offset that this drift explains at least, since it last jumped: half, as its begin is known to seconds
-EXPLAINED = 0.5
 #: m^2/s and m^2/s^3, variances that offset and drift gather: of a receiver's filter, not of a vehicle that manoeuvres
 WANDERS, TURNS = 0.002, 0.002
 #: nats: a filter has strayed from fixes that it has refused (a wrong heading, a standstill that was none) once in 50 h,
@@ -102,7 +99,7 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
         return True
     # the first of them is wrong: else the doubts had begun with a later one
     ended = 1.0 - math.exp(-ENDS * interval) if mem[r + Hypothesis.VARIANCE] != 0.0 else 0.0
-    wrong = _wrong(mem, r, mem[at + Event.TIME], z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), nis, anywhere,
+    wrong = _wrong(mem, r, z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), nis, anywhere,
                    interval)
     again, still = ended * right, (1.0 - ended) * wrong
     mem[r + Hypothesis.SCORE] += counts * math.log(again + still)
@@ -131,7 +128,7 @@ def reach(share, distance):
 
 
 @njit(_nrt=False)
-def _wrong(mem, r, time, z_n, z_e, r_nn, nis, anywhere, interval):
+def _wrong(mem, r, z_n, z_e, r_nn, nis, anywhere, interval):
     """Density, 1/m^2, of a fix that is off by z of a wrong receiver, from which its offset is learned. r_nn: m^2, of
     the scatter about that."""
     offset, drift, variance = r + Hypothesis.OFFSET, r + Hypothesis.DRIFT, r + Hypothesis.VARIANCE
@@ -162,7 +159,6 @@ def _wrong(mem, r, time, z_n, z_e, r_nn, nis, anywhere, interval):
         mem[offset], mem[offset + 1], mem[drift], mem[drift + 1] = z_n, z_e, 0.0, 0.0
         mem[variance], mem[variance + 1] = r_nn, 0.0
         mem[variance + 2] = (DRIFT_OF_JUMP if nis > mem[Head.GATE] ** 2 else DRIFT) ** 2
-        mem[r + Hypothesis.BEGUN] = time
     return density
 
 
@@ -178,16 +174,14 @@ def doubt(mem, r, interval):
 
 @njit(_nrt=False)
 def is_drifting(mem, r):
-    """Whether the fixes that the filter with the state at r takes for wrong certainly drift away: they have not jumped,
-    and are not only off along the velocity, as fixes are that are stamped late."""
+    """Whether the fixes that the filter with the state at r takes for wrong certainly drift away: not only along the
+    velocity, as fixes do that are stamped later and later."""
     offset_n, offset_e = mem[r + Hypothesis.OFFSET], mem[r + Hypothesis.OFFSET + 1]
     drift = math.hypot(mem[r + Hypothesis.DRIFT], mem[r + Hypothesis.DRIFT + 1])
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
-    since = mem[r + Nav.FIX_TIME] - mem[r + Hypothesis.BEGUN]
     beside = abs(offset_n * mem[r + Nav.V_E] - offset_e * mem[r + Nav.V_N])  # times the speed
     return (drift > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE + 2])
-            and beside > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE]) * speed
-            and drift * since > EXPLAINED * math.hypot(offset_n, offset_e))
+            and beside > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE]) * speed)
 
 
 @njit(_nrt=False)
