@@ -15,8 +15,6 @@ from mems_ins_fusion.filter.memory import Event, Head, Nav, state_at
 from mems_ins_fusion.filter.trust import fix_drift
 from mems_ins_fusion.filter.trust.fix_drift import MEMORY, FixDrift
 from mems_ins_fusion.filter.trust.hypotheses import (
-    DRIFT,
-    DRIFT_OF_JUMP,
     ENDS,
     FIXES_RIGHT,
     FIXES_WRONG,
@@ -88,15 +86,6 @@ def test_who_doubts_expects_them_to_go_on_being_off_as_they_were():
     # and one that fits the filter again is believed
     believed, _ = judged(memory, r, np.array([0.5, 0.5]), 33.0)
     assert believed and memory[r + Hypothesis.DOUBTS] == 0.0
-
-
-@pytest.mark.parametrize('z, sigma', [((30.0, -10.0), DRIFT_OF_JUMP), ((3.0, 3.0), DRIFT)])
-def test_fixes_that_have_jumped_beyond_the_gate_hardly_drift(z, sigma):
-    _, memory, r = a_state()
-    memory[r + Nav.FIX_TIME] = 1.0
-    doubt(memory, r, 1.0)
-    judged(memory, r, np.array(z), 2.0)
-    assert memory[r + Hypothesis.VARIANCE + 2] == pytest.approx(sigma**2)
 
 
 def test_refused_fixes_are_as_likely_right_as_wrong_after_the_recovery_time():

@@ -49,9 +49,6 @@ JUMPS = 1.0 / 20.0
 RANGE = math.log(1000.0)
 #: m/s: sigma of the drift of wrong fixes, of a receiver that loses its satellites one by one
 DRIFT = 3.0
-#: m/s: the same of fixes that have jumped beyond the gate: a reflected signal or a wrong integer changes slowly, and
-#: the velocity of a filter that uses no fixes is off by as much after some seconds
-DRIFT_OF_JUMP = 0.5
 #: sigma beyond which wrong fixes certainly drift, and are beside the way of the vehicle
 CERTAIN = 3.0
 #: m^2/s and m^2/s^3, variances that offset and drift gather: of a receiver's filter, not of a vehicle that manoeuvres
@@ -99,8 +96,7 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
         return True
     # the first of them is wrong: else the doubts had begun with a later one
     ended = 1.0 - math.exp(-ENDS * interval) if mem[r + Hypothesis.VARIANCE] != 0.0 else 0.0
-    wrong = _wrong(mem, r, z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), nis, anywhere,
-                   interval)
+    wrong = _wrong(mem, r, z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), anywhere, interval)
     again, still = ended * right, (1.0 - ended) * wrong
     mem[r + Hypothesis.SCORE] += counts * math.log(again + still)
     if again > still:
@@ -128,7 +124,7 @@ def reach(share, distance):
 
 
 @njit(_nrt=False)
-def _wrong(mem, r, z_n, z_e, r_nn, nis, anywhere, interval):
+def _wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
     """Density, 1/m^2, of a fix that is off by z of a wrong receiver, from which its offset is learned. r_nn: m^2, of
     the scatter about that."""
     offset, drift, variance = r + Hypothesis.OFFSET, r + Hypothesis.DRIFT, r + Hypothesis.VARIANCE
@@ -158,7 +154,7 @@ def _wrong(mem, r, z_n, z_e, r_nn, nis, anywhere, interval):
     if jumped:
         mem[offset], mem[offset + 1], mem[drift], mem[drift + 1] = z_n, z_e, 0.0, 0.0
         mem[variance], mem[variance + 1] = r_nn, 0.0
-        mem[variance + 2] = (DRIFT_OF_JUMP if nis > mem[Head.GATE] ** 2 else DRIFT) ** 2
+        mem[variance + 2] = DRIFT**2
     return density
 
 
