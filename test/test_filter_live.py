@@ -306,4 +306,4 @@ def test_what_goes_on_is_said_once():
                        mechanization='strapdown')
     # then it is told so after a minute of that, and not again
     _, notices = live(config, shaken, fixes)
-    assert sum('shakes it' in notice.text for notice in notices) == 1
+    assert sum('vibrates faster' in notice.text for notice in notices) == 1
