@@ -48,6 +48,9 @@ RECORDINGS = {
 #: what is no setting of the vehicle: given in all ways
 TRUTH = {name: line.strip() for name, (_, given) in RECORDINGS.items() for line in given.split('\n')
          if 'reference' in line}
+#: topics of fixes that are not the default: `configure` finds them itself
+FIXES = {name: line.strip() for name, (_, given) in RECORDINGS.items() for line in given.split('\n')
+         if 'gnss_topic' in line}
 _PLAIN = ('vehicle.zero_velocity: false\n    vehicle.non_holonomic: false\n    gnss.gate_probability: 1.0\n'
           '    gnss.adapt_sigma: false\n    gnss.robust_sigma: 0.0')
 #: the defaults; and what was before them, with nothing known of the vehicle and each fix believed
@@ -93,7 +96,8 @@ def outage(o: dict) -> str:
 # -- three ways --------------------------------------------------------------------------------------------------------
 
 TOPICS, CONFIGURED, BY_HAND = 'topics only', "configure's file", 'by hand'
-WAYED = ('husky_wheel_speed', 'dresden_hobby_imu', 'longmont_rtk_drive', 'karlsruhe_hills', 'kingston_span')
+WAYED = ('husky_wheel_speed', 'dresden_hobby_imu', 'longmont_rtk_drive', 'karlsruhe_hills', 'incheon_square_ros2',
+         'kingston_span')
 #: simulated drives, by number of `configure.case`, whose kind goes with it; who writes a file by hand sees the mounting
 #: to this, deg, and has a tape, m
 SIMULATED = (201, 203, 204, 205, 213, 214, 200, 202, 206, 207, 208, 209, 210, 211, 212, 215, 216, 217, 218, 219)
@@ -137,15 +141,15 @@ def simulated_bag(number: int, output: Path) -> tuple[Path, configure.Case]:
     return bag, of
 
 
-def three_ways(name: str, bag: Path, topics: str, by_hand: str, output: Path) -> dict[str, Way]:
-    """topics, by_hand: lines of params files."""
+def three_ways(name: str, bag: Path, always: str, topics: str, by_hand: str, output: Path) -> dict[str, Way]:
+    """Lines of params files. always: in each way, also below what `configure` writes."""
     files = {way: output / f'{name}_{i}.yaml' for i, way in enumerate((TOPICS, CONFIGURED, BY_HAND))}
-    files[TOPICS].write_text(f'/**:\n  ros__parameters:\n    imu_topic: /imu/data\n    {topics}\n')
-    files[BY_HAND].write_text(f'/**:\n  ros__parameters:\n    imu_topic: /imu/data\n    {by_hand}\n')
+    files[TOPICS].write_text(f'/**:\n  ros__parameters:\n    {_lines("imu_topic: /imu/data", topics, always)}\n')
+    files[BY_HAND].write_text(f'/**:\n  ros__parameters:\n    {_lines("imu_topic: /imu/data", by_hand, always)}\n')
     if not files[CONFIGURED].exists():
         found = look_at([bag])
         (output / f'{name}_found.json').write_text(json.dumps(seen_by(found)))
-        files[CONFIGURED].write_text(f'{configuration_yaml(found)}    {topics}\n')
+        files[CONFIGURED].write_text(f'{configuration_yaml(found)}    {always}\n')
     known = {CONFIGURED: looked(name, output)['offset']}
     found = {}
     for way, file in files.items():
@@ -243,9 +247,10 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
         if name in RECORDINGS:
             folder, given = RECORDINGS[name]
             bag, file = data / name / folder, name
-            part = _lines(PARTS.get(name, ''), OFTEN)
-            topics = _lines(TRUTH.get(name, ''), part)
-            found = three_ways(name, bag, topics, _lines(given, part), output)
+            truth = TRUTH.get(name, '')
+            by_hand = _lines(*(line.strip() for line in given.split('\n') if line.strip() != truth))
+            found = three_ways(name, bag, _lines(truth, PARTS.get(name, ''), OFTEN), FIXES.get(name, ''), by_hand,
+                               output)
         else:
             bag, of = simulated_bag(int(name.split()[1]), output)
             kind = f'{of.kind}, gaps' if int(name.split()[1]) in GAPS else of.kind
@@ -254,8 +259,8 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
                      f'{", ".join(f"{a:.1f}" for a in mounting)} deg)')
             seen = np.radians(SEEN * np.round(mounting / SEEN)).round(4).tolist()
             measured = (TAPE * np.round(of.arm / TAPE)).round(2).tolist()
-            found = three_ways(file := name.replace(' ', '_'), bag, OFTEN, _lines(
-                f'imu.mounting_rpy: {seen}', f'gnss.lever_arm: {measured}', OFTEN), output)
+            found = three_ways(file := name.replace(' ', '_'), bag, OFTEN, '', _lines(
+                f'imu.mounting_rpy: {seen}', f'gnss.lever_arm: {measured}'), output)
             judged.append(against_truth(of, looked(file, output), found))
         for way, end in found.items():
             print(way_row(title, way, end), flush=True)
