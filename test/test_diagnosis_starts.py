@@ -19,6 +19,7 @@ from mems_ins_fusion.diagnosis.fit import fit
 from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.diagnosis.judging import Judged, small
 from mems_ins_fusion.diagnosis.known import Known
+from mems_ins_fusion.diagnosis.noise import calibrated, noise_unknowns
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.problem import Problem
 from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, Shown, other_starts, shown_without_filter
@@ -92,8 +93,9 @@ def test_what_a_receiver_that_smooths_leaves_open_decides_whether_an_offset_is_t
 def test_what_effects_added_later_leave_unsure_is_not_set(late, monkeypatch):
     # given an offset that was plain when it was added, and is not with what was added later
     problem = Drives([Problem(late, table.check({}))])
-    unknowns = effect_unknowns(EFFECTS['gnss_time_offset'], {}, problem.attitude)
-    model = fit(problem, unknowns, np.zeros(len(unknowns)))
+    noise = noise_unknowns(problem)
+    model = fit(problem, [*noise, *effect_unknowns(EFFECTS['gnss_time_offset'], {}, problem.attitude)],
+                [*calibrated(problem, noise), 0.0])
     added = Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(OFFSET, 0.02, 's')}, 20.0, 1e-6,
                     True, HeldOut(20.0, 1e-6, []))
     known = Known(problem, model, None, (), findings=(added,))
@@ -103,7 +105,7 @@ def test_what_effects_added_later_leave_unsure_is_not_set(late, monkeypatch):
                                  errors=lambda models: None)
         left = search.without_undetermined(known, trials)
         # then it is left out, unless the recordings show it for certain without a filter
-        assert left.findings[0].added == is_set and len(left.model.unknowns) == is_set
+        assert left.findings[0].added == is_set and len(left.model.unknowns) == len(noise) + is_set
         assert is_set or left.findings[0].reason == 'less than 3 sigma with the effects that were added later'
 
 

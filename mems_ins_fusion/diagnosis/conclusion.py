@@ -86,7 +86,10 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
     given = trials.origin.given
     configured = Correction(given, [given], {}, False)
     fitted = _levelled(configured, trials)
-    corrections = _options(known, fitted, configured, trials)
+    ran = _running(configured, trials)
+    # errors are those of filters fitted to a part; that of corrected.yaml has to run as well
+    corrections = [option for option in _options(known, fitted, configured, trials)
+                   if _running(option, trials) >= RUNS * ran]
     trials.tell(MEASURING, 'measuring errors')
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
     correction, after, verdict, judged_by, against = _chosen([
@@ -200,9 +203,6 @@ def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[T
     def merit(tried):
         changed = bool(_switched(configured.values, tried.correction.values))
         return _merit(tried.errors) - changed * WORTH / predictions(tried.errors)
-    # errors are those of filters fitted to a part; that of corrected.yaml has to run as well
-    ran = _running(configured, trials)
-    options = [option for option in options if _running(option, trials) >= RUNS * ran]
     found = [Tried(option, measured(option), tuple(measured(one) for one in option.beside)) for option in options]
     return [*sorted(found, key=merit, reverse=True), Tried(configured, measured(configured))]
 
