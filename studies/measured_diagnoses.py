@@ -6,8 +6,9 @@
 DATA: folder of the recordings. OUTPUT: for the params files and results; a recording whose result is there already is
 not diagnosed again. RECORDING: only these, by the first letters of `recording, settings`.
 settings: with the defaults, and with what was before them. ways: from nothing but the topics, from the file that
-`configure` writes, and from one by hand; of the recordings and of simulated drives, whose truth is known. Do the three
-end alike, and does configure's file end worse than by hand, by `compare`?
+`configure` writes, and from one by hand; of the recordings and of simulated drives, whose truth is known. Are the time
+offsets, arms, mountings and scales that the three tell alike within their sigmas, and does configure's file end worse
+than by hand, by `compare`?
 """
 from __future__ import annotations
 
@@ -29,6 +30,7 @@ from mems_ins_fusion.configuration.configure import Configuration  # noqa: E402
 from mems_ins_fusion.configuration.configure import configure as look_at  # noqa: E402
 from mems_ins_fusion.configuration.mounting import deviation, rpy  # noqa: E402
 from mems_ins_fusion.diagnosis.estimate import Estimate  # noqa: E402
+from mems_ins_fusion.effects.registry import EFFECTS  # noqa: E402
 from mems_ins_fusion.navigation.frames import rotation_from_rpy  # noqa: E402
 from mems_ins_fusion.parameters import params_file, table  # noqa: E402
 from mems_ins_fusion.recordings.writing import write_recording  # noqa: E402
@@ -48,6 +50,9 @@ RECORDINGS = {
 #: what is no setting of the vehicle: given in all ways
 TRUTH = {name: line.strip() for name, (_, given) in RECORDINGS.items() for line in given.split('\n')
          if 'reference' in line}
+#: topics of fixes that are not the default: `configure` finds them itself
+FIXES = {name: line.strip() for name, (_, given) in RECORDINGS.items() for line in given.split('\n')
+         if 'gnss_topic' in line}
 _PLAIN = ('vehicle.zero_velocity: false\n    vehicle.non_holonomic: false\n    gnss.gate_probability: 1.0\n'
           '    gnss.adapt_sigma: false\n    gnss.robust_sigma: 0.0')
 #: the defaults; and what was before them, with nothing known of the vehicle and each fix believed
@@ -93,7 +98,8 @@ def outage(o: dict) -> str:
 # -- three ways --------------------------------------------------------------------------------------------------------
 
 TOPICS, CONFIGURED, BY_HAND = 'topics only', "configure's file", 'by hand'
-WAYED = ('husky_wheel_speed', 'dresden_hobby_imu', 'longmont_rtk_drive', 'karlsruhe_hills', 'kingston_span')
+WAYED = ('husky_wheel_speed', 'dresden_hobby_imu', 'longmont_rtk_drive', 'karlsruhe_hills', 'incheon_square_ros2',
+         'kingston_span')
 #: simulated drives, by number of `configure.case`, whose kind goes with it; who writes a file by hand sees the mounting
 #: to this, deg, and has a tape, m
 SIMULATED = (201, 203, 204, 205, 213, 214, 200, 202, 206, 207, 208, 209, 210, 211, 212, 215, 216, 217, 218, 219)
@@ -109,19 +115,35 @@ OFTEN = 'outage_spacing: 2.0'
 READY_OFFSET, READY_ANGLE = 0.1, 3.0
 
 
+#: what ways are compared in: effect and parameter in which a diagnosis tells it
+QUANTITIES = {'offset': ('gnss_time_offset', 'time_offset'),
+              'arm forward': ('gnss_lever_arm', 'x'), 'arm left': ('gnss_lever_arm', 'y'),
+              'arm up': ('gnss_lever_arm', 'z'),
+              'roll': ('mounting_rotation', 'roll'), 'pitch': ('mounting_rotation', 'pitch'),
+              'yaw': ('mounting_rotation', 'yaw'),
+              'gyroscope scale': ('gyroscope_scale', 'z'), 'accelerometer scale': ('accelerometer_scale', 'x')}
+ARM, MOUNTING = ('arm forward', 'arm left', 'arm up'), ('roll', 'pitch', 'yaw')
+
+
 @dataclass(frozen=True)
 class Way:
-    """Where one way ended. file: what it ends with. verdict: its word. offset: s, what it tells, set or only told,
-    with sigma; None where it tells none. arm, mounting: as in corrected.yaml (deg). is_set: whether corrected.yaml has
-    the offset that is told. errors: mean of the largest in outages, m, before and after, by duration."""
+    """Where one way ended. file: what it ends with. verdict: its word. values: the parameters with all of QUANTITIES
+    that it tells, set or only told; sigmas: of those that have one, m, s, rad or of one; only_told: those that
+    corrected.yaml does not have. arm, mounting: as in corrected.yaml (deg). errors: mean of the largest in outages, m,
+    before and after, by duration."""
 
     file: Path
     verdict: str
-    offset: tuple[float, float | None]
+    values: dict
+    sigmas: dict[str, float]
+    only_told: set[str]
     arm: list[float]
     mounting: list[float]
-    is_set: bool
     errors: dict[float, tuple[float, float]]
+
+    @property
+    def usable(self) -> bool:
+        return self.verdict not in ('not_usable', 'none')
 
 
 def simulated_bag(number: int, output: Path) -> tuple[Path, configure.Case]:
@@ -137,23 +159,22 @@ def simulated_bag(number: int, output: Path) -> tuple[Path, configure.Case]:
     return bag, of
 
 
-def three_ways(name: str, bag: Path, topics: str, by_hand: str, output: Path) -> dict[str, Way]:
-    """topics, by_hand: lines of params files."""
+def three_ways(name: str, bag: Path, always: str, topics: str, by_hand: str, output: Path) -> dict[str, Way]:
+    """Lines of params files. always: in each way, also below what `configure` writes."""
     files = {way: output / f'{name}_{i}.yaml' for i, way in enumerate((TOPICS, CONFIGURED, BY_HAND))}
-    files[TOPICS].write_text(f'/**:\n  ros__parameters:\n    imu_topic: /imu/data\n    {topics}\n')
-    files[BY_HAND].write_text(f'/**:\n  ros__parameters:\n    imu_topic: /imu/data\n    {by_hand}\n')
+    files[TOPICS].write_text(f'/**:\n  ros__parameters:\n    {_lines("imu_topic: /imu/data", topics, always)}\n')
+    files[BY_HAND].write_text(f'/**:\n  ros__parameters:\n    {_lines("imu_topic: /imu/data", by_hand, always)}\n')
     if not files[CONFIGURED].exists():
         found = look_at([bag])
         (output / f'{name}_found.json').write_text(json.dumps(seen_by(found)))
-        files[CONFIGURED].write_text(f'{configuration_yaml(found)}    {topics}\n')
-    known = {CONFIGURED: looked(name, output)['offset']}
+        files[CONFIGURED].write_text(f'{configuration_yaml(found)}    {always}\n')
     found = {}
     for way, file in files.items():
         # who has nothing to write by hand starts from the topics
         folder = output / f'{name}_{[f.read_text() for f in files.values()].index(file.read_text())}'
         if not (folder / 'report.json').exists():
             diagnose(['--bag', str(bag), '--params-file', str(file), '--output', str(folder), '--overwrite'])
-        found[way] = ended(folder, file, *known.get(way, (0.0, None)))
+        found[way] = ended(folder, file, looked(name, output) if way == CONFIGURED else None)
     return found
 
 
@@ -177,27 +198,41 @@ def _lines(*lines: str) -> str:
     return '\n    '.join(filter(None, lines))
 
 
-def ended(folder: Path, file: Path, seen: float, sigma: float | None) -> Way:
-    """seen, sigma: the time offset by `configure`, which `file` has where it is more than two sigma; None: none."""
+def ended(folder: Path, file: Path, seen: dict | None) -> Way:
+    """seen: what `configure` says, where it has written `file`; it sets what is more than two sigma."""
     content = json.loads((folder / 'report.json').read_text()) if (folder / 'report.json').exists() else {}
     end = folder / 'corrected.yaml'
     end = end if end.exists() else file
-    values = table.check(params_file.load_yaml(end))
-    given = table.check(params_file.load_yaml(file))['gnss.time_offset']
-    told = [(e['parameters']['time_offset'], e['added']) for e in content.get('effects', [])
-            if e['name'] == 'gnss_time_offset' and 'time_offset' in e['parameters']]
-    told = [(value, is_set) for value, is_set in told if value['value'] is not None and value['sigma'] is not None]
+    corrected = table.check(params_file.load_yaml(end))
+    given = table.check(params_file.load_yaml(file))
+    values, sigmas, only_told = corrected, {}, set()
+    if seen is not None:
+        sigmas = {name: sigma for name, sigma in zip(QUANTITIES, (
+            seen['offset'][1], *(seen['arm'][1] or [None] * 3), *(seen['mounting'][1] or [None] * 3)))
+            if sigma is not None}
+        if 'offset' in sigmas and corrected['gnss.time_offset'] == given['gnss.time_offset'] == 0.0:
+            values, only_told = {**values, 'gnss.time_offset': seen['offset'][0]}, {'offset'}
+        if corrected['gnss.lever_arm'] == given['gnss.lever_arm']:
+            values = {**values, 'gnss.lever_arm': seen['arm'][0]}
+    for e in content.get('effects', []):
+        known = {name: e['parameters'][parameter] for name, (effect, parameter) in QUANTITIES.items()
+                 if effect == e['name'] and e['parameters'].get(parameter, {}).get('sigma') is not None}
+        sigmas |= {name: estimate['sigma'] for name, estimate in known.items()}
+        if e['added']:
+            only_told -= set(known)
+        elif known:
+            only_told |= set(known)
+            moved = EFFECTS[e['name']].adjusted(given, {
+                **{parameter.name: 0.0 for parameter in EFFECTS[e['name']].parameters},
+                **{QUANTITIES[name][1]: estimate['value'] for name, estimate in known.items()}})
+            values = {**values, **{name: value for name, value in moved.items() if value != given[name]}}
     # of corrected.yaml: the comparison is with what was tried, which may not be set
     means = [{o['duration_s']: o['max_error_mean_m'] for o in content.get(when, {}).get('outages', []) if o['count']}
              for when in ('before', 'after')]
     errors = {duration: tuple(mean[duration] for mean in means) for duration in WAY_DURATIONS
               if all(duration in mean for mean in means)}
-    offset, is_set = (values['gnss.time_offset'] if sigma is None else seen, sigma), sigma is None or bool(given)
-    if told:
-        value, is_set = told[0]
-        offset = values['gnss.time_offset'] if is_set else given + value['value'], value['sigma']
-    return Way(end, content.get('verdict', {}).get('answer', 'none'), offset, values['gnss.lever_arm'],
-               [math.degrees(a) for a in values['imu.mounting_rpy']], is_set, errors)
+    return Way(end, content.get('verdict', {}).get('answer', 'none'), values, sigmas, only_told,
+               corrected['gnss.lever_arm'], [math.degrees(a) for a in corrected['imu.mounting_rpy']], errors)
 
 
 def beside_by_hand(found: dict[str, Way], bag: Path, folder: Path) -> str:
@@ -213,18 +248,38 @@ def beside_by_hand(found: dict[str, Way], bag: Path, folder: Path) -> str:
     return f'{verdict["answer"]} | {"; ".join(rows)}'
 
 
+def away(values: dict, offset: float, arm, rotation: np.ndarray, scales=(0.0, 0.0)) -> dict[str, float]:
+    """By how much parameters differ from these values, by QUANTITIES."""
+    turned = deviation(rotation_from_rpy(*values['imu.mounting_rpy']), rotation)
+    return dict(zip(QUANTITIES, (values['gnss.time_offset'] - offset, *np.subtract(values['gnss.lever_arm'], arm),
+                                 *turned, *np.subtract(scales_of(values), scales)), strict=True))
+
+
+def scales_of(values: dict) -> tuple[float, float]:
+    """Of gyroscopes and accelerometers; a diagnosis adds to one axis."""
+    return tuple(max(values[f'{sensor}.scale'], key=abs) for sensor in ('gyroscope', 'accelerometer'))
+
+
 def agree(found: dict[str, Way]) -> str:
-    """Whether the offsets of the ways that ended lie within two sigma of each other; what is without sigma is none."""
-    ends = [way.offset for way in found.values() if way.verdict not in ('not_usable', 'none')]
-    known = [(offset, sigma) for offset, sigma in ends if sigma is not None]
-    apart = [abs(a - b) / math.hypot(s, t) for k, (a, s) in enumerate(known) for b, t in known[:k]]
-    open_ = '' if len(known) == len(ends) else f', {len(ends) - len(known)} without an offset'
-    return ('-' if not apart else f'{"yes" if max(apart) < 2.0 else "no"} ({max(apart):.1f} sigma)') + open_
+    """By how many sigmas the ways that ended lie apart at most, for each quantity that two of them tell."""
+    ends, apart = [way for way in found.values() if way.usable], {}
+    for k, a in enumerate(ends):
+        for b in ends[:k]:
+            if a.file.parent == b.file.parent:  # one diagnosis
+                continue
+            between = away(a.values, b.values['gnss.time_offset'], b.values['gnss.lever_arm'],
+                           rotation_from_rpy(*b.values['imu.mounting_rpy']), scales_of(b.values))
+            for name in a.sigmas.keys() & b.sigmas.keys():
+                sigmas = abs(between[name]) / math.hypot(a.sigmas[name], b.sigmas[name])
+                apart[name] = max(sigmas, apart.get(name, 0.0))
+    rows = '; '.join(f'{name} {apart[name]:.1f}' for name in QUANTITIES if name in apart)
+    return f'{"-" if not apart else "yes" if max(apart.values()) < 2.0 else "no"} | {rows or "-"}'
 
 
 def way_row(title: str, way: str, end: Way) -> str:
-    offset, sigma = end.offset
-    shown = f'{offset:.3f}' + ('' if sigma is None else f' ± {sigma:.3f}') + ('' if end.is_set else ' (told)')
+    sigma = end.sigmas.get('offset')
+    shown = '-' if sigma is None else f'{end.values["gnss.time_offset"]:.3f} ± {sigma:.3f}' + (
+        ' (told)' if 'offset' in end.only_told else '')
     errors = ' / '.join(number(end.errors[d][1], 2) if d in end.errors else '-' for d in WAY_DURATIONS)
     before = ' / '.join(number(end.errors[d][0], 2) if d in end.errors else '-' for d in WAY_DURATIONS)
     return (f'| {title} | {way} | {shown} | {", ".join(f"{a:.2f}" for a in end.arm)} | '
@@ -243,9 +298,10 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
         if name in RECORDINGS:
             folder, given = RECORDINGS[name]
             bag, file = data / name / folder, name
-            part = _lines(PARTS.get(name, ''), OFTEN)
-            topics = _lines(TRUTH.get(name, ''), part)
-            found = three_ways(name, bag, topics, _lines(given, part), output)
+            truth = TRUTH.get(name, '')
+            by_hand = _lines(*(line.strip() for line in given.split('\n') if line.strip() != truth))
+            found = three_ways(name, bag, _lines(truth, PARTS.get(name, ''), OFTEN), FIXES.get(name, ''), by_hand,
+                               output)
         else:
             bag, of = simulated_bag(int(name.split()[1]), output)
             kind = f'{of.kind}, gaps' if int(name.split()[1]) in GAPS else of.kind
@@ -254,14 +310,14 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
                      f'{", ".join(f"{a:.1f}" for a in mounting)} deg)')
             seen = np.radians(SEEN * np.round(mounting / SEEN)).round(4).tolist()
             measured = (TAPE * np.round(of.arm / TAPE)).round(2).tolist()
-            found = three_ways(file := name.replace(' ', '_'), bag, OFTEN, _lines(
-                f'imu.mounting_rpy: {seen}', f'gnss.lever_arm: {measured}', OFTEN), output)
+            found = three_ways(file := name.replace(' ', '_'), bag, OFTEN, '', _lines(
+                f'imu.mounting_rpy: {seen}', f'gnss.lever_arm: {measured}'), output)
             judged.append(against_truth(of, looked(file, output), found))
         for way, end in found.items():
             print(way_row(title, way, end), flush=True)
         agreed[name] = agree(found)
         beside[name] = beside_by_hand(found, bag, output / f'{file}_beside')
-    print('\n| drive | do the offsets agree |\n|---|---|')
+    print('\n| drive | do the ways agree | sigmas by which two ways lie apart, at most |\n|---|---|---|')
     for name, said in agreed.items():
         print(f'| {name} | {said} |')
     print('\n| drive | configure\'s file instead of by hand | without fixes: by hand, configure\'s file '
@@ -273,19 +329,24 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
 
 
 def against_truth(of: configure.Case, seen: dict, found: dict[str, Way]) -> dict:
-    """Errors over sigma, (k,) each: of the offset, arm and mounting of configure, and of the offset that each way
-    tells; and how ready a file is that is off."""
+    """Errors over sigma, (k,) each: of the offset, arm and mounting of configure, and of those that each way tells; and
+    whether a file is ready, and off."""
     def scores(errors, sigmas):
         return np.atleast_1d(np.asarray(errors) / np.asarray(sigmas)) if sigmas is not None else np.zeros(0)
 
-    away = deviation(rotation_from_rpy(*seen['mounting'][0]), of.rotation)
-    off = abs(seen['set'] - of.offset) > READY_OFFSET or np.degrees(np.abs(away)).max() > READY_ANGLE
+    turned = deviation(rotation_from_rpy(*seen['mounting'][0]), of.rotation)
+    off = abs(seen['set'] - of.offset) > READY_OFFSET or np.degrees(np.abs(turned)).max() > READY_ANGLE
+    ends = {}
+    for way, end in found.items():
+        wrong = away(end.values, of.offset, of.arm, of.rotation)
+        for what, names in (('offset', ('offset',)), ('arm', ARM), ('mounting', MOUNTING)):
+            if end.usable:
+                ends[f'diagnose, {way}, {what}'] = np.array(
+                    [wrong[name] / end.sigmas[name] for name in names if name in end.sigmas])
     return {'configure, offset': scores(seen['offset'][0] - of.offset, seen['offset'][1]),
             'configure, arm': scores(seen['arm'][0] - of.arm, seen['arm'][1]),
-            'configure, mounting': scores(away, seen['mounting'][1]),
-            **{f'diagnose, {way}, offset': scores(end.offset[0] - of.offset, end.offset[1])
-               for way, end in found.items() if end.verdict not in ('not_usable', 'none')},
-            'ready': seen['ready'], 'ready and off': seen['ready'] and off}
+            'configure, mounting': scores(turned, seen['mounting'][1]),
+            **ends, 'ready': seen['ready'], 'ready and off': seen['ready'] and off}
 
 
 def summary(judged: list[dict]) -> None:

@@ -15,6 +15,7 @@ from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.memory import Head, views
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.filter.start.course import _bent
 from mems_ins_fusion.filter.start.initial import channel_prior
 from mems_ins_fusion.filter.trust.scale import scale
 from mems_ins_fusion.navigation.frames import wrap
@@ -306,6 +307,18 @@ def test_the_heading_knows_that_the_receiver_wanders(template):
     # then the heading's error is as large as its sigma says (20 headings: below 1.6, one in 10,000), and only then
     assert np.sqrt(np.mean(np.square(errors[True]))) < math.sqrt(chi2.ppf(1 - 1e-4, 20) / 20)
     assert np.sqrt(np.mean(np.square(errors[False]))) > 1.2
+
+
+@pytest.mark.parametrize('tau', [0.5, 2.0, 8.0, 20.0, 100.0, 1000.0])
+def test_a_receiver_that_wanders_turns_a_path_by_what_least_squares_say(tau):
+    # given twenty seconds of fixes, and the covariance of errors of 1.5 m that change within tau
+    time = np.linspace(0.0, 20.0, 401)
+    covariance = 1.5**2 * np.exp(-np.abs(time[:, None] - time) / tau)
+    slope = (time - time.mean()) / np.sum((time - time.mean()) ** 2)
+    white = slope @ covariance @ slope / (slope @ slope)
+    # then they count as white noise that turns the path as far, neither a half more nor a tenth less
+    config = configure({'gnss.coloured_noise.sigma': 1.5, 'gnss.coloured_noise.tau': tau})
+    assert 0.9 < len(time) * _bent(config, 20.0) / white < 1.5
 
 
 CAR = {'mechanization': 'strapdown', 'vehicle.non_holonomic': True}

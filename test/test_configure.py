@@ -411,6 +411,8 @@ def test_the_file_loads_and_says_what_is_there(bag, tmp_path, capsys):
     assert (values['imu.acceleration_unit'], values['imu.rate_unit']) == ('g', 'deg/s')
     assert checked['mechanization'] == 'strapdown' and checked['vehicle.non_holonomic']
     assert checked['imu.mounting_rpy'][2] == pytest.approx(QUARTER, abs=0.05)
+    # a drive without faults does not switch off what bears those of other drives
+    assert not {'gnss.robust_sigma', 'gnss.gate_probability', 'gnss.adapt_sigma'} & set(values)
     # every value has its evidence above it
     lines = output.read_text().splitlines()
     for i, line in enumerate(lines):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.configuration.offset import Offset
-from mems_ins_fusion.diagnosis import conclusion, judging
+from mems_ins_fusion.diagnosis import conclusion, exact
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.exact import HELD, of_what_is_held
@@ -112,7 +112,7 @@ def test_an_effect_is_plain_with_what_is_held_unless_it_shows_for_certain_withou
     # given fixes 0.5 s late, and an arm that leaves a second of that open
     late = replace(drive, gnss=replace(drive.gnss, stamp=drive.gnss.stamp + 500_000_000))
     effects = [EFFECTS['gnss_time_offset']]
-    monkeypatch.setattr(judging, 'of_what_is_held', lambda model, *known: np.ones(len(model.unknowns)))
+    monkeypatch.setattr(exact, 'of_what_is_held', lambda model, *known: np.ones(len(model.unknowns)))
     # then an offset is set that shows for certain between the fixes, too, and no other
     assert diagnose(late, table.check({}), effects=effects, durations=(10.0,)).corrected['gnss.time_offset'] > 0.2
     monkeypatch.setattr(TrialRuns, 'certain', ())

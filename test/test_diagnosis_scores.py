@@ -285,6 +285,8 @@ def test_what_speaks_against_an_effect():
     assert objection(weak, [alike]).startswith(said)
     assert objection(little, [alike]).startswith('too small') and objection(likely, [alike]) == ''
     assert objection(none, [better]).startswith('no gain')
+    # nor does a gain count of what is only there with all of the data
+    assert 'without the one part' in objection(replace(sure, supported=0.5), [better])
     # an error that is a little smaller for certain proves nothing: whatever bends follows what is wrong a little
     assert objection(weak, [row(4.0, 3.8, 0.001)]).startswith('too small')
 

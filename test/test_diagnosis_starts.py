@@ -9,18 +9,21 @@ import pytest
 
 from mems_ins_fusion.configuration.offset import Offset, together
 from mems_ins_fusion.diagnosis import conclusion, search
-from mems_ins_fusion.diagnosis.conclusion import _final, _of_receiver
+from mems_ins_fusion.diagnosis.conclusion import _final
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
 from mems_ins_fusion.diagnosis.estimate import SYSTEMATIC, Estimate
+from mems_ins_fusion.diagnosis.exact import of_receiver, sigmas
 from mems_ins_fusion.diagnosis.findings import Finding
+from mems_ins_fusion.diagnosis.fit import fit
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.judging import Judged
+from mems_ins_fusion.diagnosis.judging import Judged, small
 from mems_ins_fusion.diagnosis.known import Known
+from mems_ins_fusion.diagnosis.noise import calibrated, noise_unknowns
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.problem import Problem
 from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, Shown, other_starts, shown_without_filter
-from mems_ins_fusion.diagnosis.tracing import Candidate
+from mems_ins_fusion.diagnosis.tracing import Candidate, effect_unknowns
 from mems_ins_fusion.diagnosis.trial_runs import TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import table
@@ -67,23 +70,43 @@ def test_an_offset_is_no_surer_than_a_receiver_that_smooths_leaves_it():
         name='gnss_coloured_noise.tau', effect='gnss_coloured_noise', meant=lambda x, s: (x, s))], x=[tau])
         for tau in (4.0, 40.0)}
     # then a model that has no smoothing is not sure to that; one that has, knows what it cannot tell itself
-    assert _of_receiver(plain, track) == pytest.approx(np.hypot(0.3, 0.01))
-    assert _of_receiver(smoothing, track) == _of_receiver(plain, None) == pytest.approx(0.01)
+    assert of_receiver(plain, track) == pytest.approx(np.hypot(0.3, 0.01))
+    assert of_receiver(smoothing, track) == of_receiver(plain, None) == pytest.approx(0.01)
     # and errors that last for as long as a receiver smooths are a delay of a part of that, longer ones are none
-    assert _of_receiver(lasting[4.0], None) == pytest.approx(np.hypot(SYSTEMATIC * 4.0, 0.01))
-    assert _of_receiver(lasting[40.0], None) == pytest.approx(0.01)
+    assert of_receiver(lasting[4.0], None) == pytest.approx(np.hypot(SYSTEMATIC * 4.0, 0.01))
+    assert of_receiver(lasting[40.0], None) == pytest.approx(0.01)
 
 
-def test_an_offset_that_is_only_told_is_no_surer_either():
-    # given an offset without a proof, and a track that cannot tell it from smoothing to 0.3 s
-    told = Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(3.0, 0.02, 's')}, 20.0, 1e-6,
-                   False, HeldOut(5.0, 0.01, []))
-    model = SimpleNamespace(unknowns=[], x=[], sigma=lambda: [])
-    track = Offset(3.0, 0.4, np.zeros(3), np.ones(3), 0.0, 1.0, undecided=0.3)
-    trials = SimpleNamespace(library=[], origin=SimpleNamespace(given={}), beside=SimpleNamespace(track=track))
-    # then its sigma has that, as that of one that is set
-    [finding] = _final(SimpleNamespace(model=model, findings=[told]), {}, {}, trials)
-    assert finding.parameters['time_offset'].sigma == pytest.approx(np.sqrt(0.02**2 + 0.3**2 + 0.01**2))
+def test_what_a_receiver_that_smooths_leaves_open_decides_whether_an_offset_is_there(late):
+    # given fixes that are late, and a track that cannot tell that from smoothing to 0.3 s
+    given = table.check({})
+    problem = Problem(late, given)
+    unknowns = effect_unknowns(EFFECTS['gnss_time_offset'], {}, problem.attitude)
+    model = fit(problem, unknowns, np.zeros(len(unknowns)))
+    sure, open_ = (sigmas(model, Offset(OFFSET, 0.4, np.zeros(3), np.zeros(3), 0.0, 1.0, undecided=undecided), given)
+                   for undecided in (0.0, 0.3))
+    # then its sigma has that, and with it the offset is not there for certain
+    assert open_ == pytest.approx(np.hypot(sure, 0.3)) and sure[0] < 0.1
+    assert small(model, [0], sure) == '' and small(model, [0], open_)
+
+
+def test_what_effects_added_later_leave_unsure_is_not_set(late, monkeypatch):
+    # given an offset that was plain when it was added, and is not with what was added later
+    problem = Drives([Problem(late, table.check({}))])
+    noise = noise_unknowns(problem)
+    model = fit(problem, [*noise, *effect_unknowns(EFFECTS['gnss_time_offset'], {}, problem.attitude)],
+                [*calibrated(problem, noise), 0.0])
+    added = Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(OFFSET, 0.02, 's')}, 20.0, 1e-6,
+                    True, HeldOut(20.0, 1e-6, []))
+    known = Known(problem, model, None, (), findings=(added,))
+    for further, certain, is_set in ((0.0, (), True), (0.3, (), False), (0.3, ('gnss_time_offset',), True)):
+        track = Offset(OFFSET, 0.4, np.zeros(3), np.zeros(3), 0.0, 1.0, undecided=further)
+        trials = SimpleNamespace(beside=SimpleNamespace(track=track), origin=problem, certain=certain,
+                                 errors=lambda models: None)
+        left = search.without_undetermined(known, trials)
+        # then it is left out, unless the recordings show it for certain without a filter
+        assert left.findings[0].added == is_set and len(left.model.unknowns) == len(noise) + is_set
+        assert is_set or left.findings[0].reason == 'less than 3 sigma with the effects that were added later'
 
 
 def test_what_the_track_shows_for_certain_is_told_even_where_held_out_data_do_not_gain():

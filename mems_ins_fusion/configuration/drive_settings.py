@@ -12,7 +12,6 @@ from mems_ins_fusion.configuration.remaining import ARM
 from mems_ins_fusion.configuration.setting import ARM_SHOWN, SIGNIFICANT, Setting, arm_apart, at_zero, is_sure, rounded
 from mems_ins_fusion.configuration.topics import Topics
 from mems_ins_fusion.configuration.vehicle import LARGEST_ALIKE
-from mems_ins_fusion.effects.gnss_outliers import ROBUST
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.parameters.table import defaults
 from mems_ins_fusion.recordings.motion import UNSTATED_SIGMA
@@ -22,7 +21,6 @@ from mems_ins_fusion.recordings.units import RATE, Units
 
 _TF_ANGLE = math.radians(15.0)  # rad: a bracket is bent by less than this; transforms are often of whole right angles
 _LEAST_MOUNTING_SIGMA = 0.01  # rad: by as much a body and a bracket flex while driving
-_OUTLIERS = 0.002  # share of fixes far off their neighbours from which on gnss.robust_sigma is set
 
 
 def settings_of(topics: Topics, drives, mounting):
@@ -187,9 +185,6 @@ def _receiver_settings(receivers: list[Receiver]):
     else:
         yield Setting('gnss.default_sigma', float(f'{max(realised or UNSTATED_SIGMA, 0.02):.2g}'),
                       (text or 'not shown', 'the receiver states no sigma'))
-    outliers = max(r.outliers for r in receivers)
-    yield Setting('gnss.robust_sigma', ROBUST if outliers > _OUTLIERS else 0.0,
-                  (f'{outliers:.1%} of the fixes lie far off their neighbours',))
     delays = [r.delay for r in receivers if r.delay is not None]
     if delays and max(delays) > 0.7 * defaults()['gnss.max_delay']:
         yield Setting('gnss.max_delay', min(round(1.5 * max(delays), 1), 10.0),

@@ -1,4 +1,4 @@
-"""What a receiver's fixes are worth: their sigma against the stated one, outliers, and how late they arrive."""
+"""What a receiver's fixes are worth: their sigma against the stated one, and how late they arrive."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -11,7 +11,6 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import robust_sigma, scatter_at_rest, sigmas
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
-_OUTLIER = 6.0  # robust standard deviations
 _ROUGHNESS = 0.06  # m/s^2 over the square root of six: misfit of specific force and motion on ordinary roads
 TOO_SURE = 2.0  # times its stated sigma: a receiver that is not believed
 _CLOCKS = 2.0  # s: more between stamp and arrival is no delay
@@ -20,14 +19,13 @@ _CLOCKS = 2.0  # s: more between stamp and arrival is no delay
 @dataclass(frozen=True)
 class Receiver:
     """stated: m, median of the stated sigmas, or None. at_rest: m, scatter in standstills, or None. in_motion: m, white
-    noise about, from changes of speed against the accelerometers, or None. outliers: part of the fixes that are far
-    off their neighbours. delay: s, from stamp to arrival beyond the IMU's, 99 %, None where the log does not show it.
+    noise about, from changes of speed against the accelerometers, or None. delay: s, from stamp to arrival beyond the
+    IMU's, 99 %, None where the log does not show it.
     """
 
     stated: float | None
     at_rest: float | None
     in_motion: float | None
-    outliers: float
     delay: float | None
 
     @property
@@ -44,17 +42,15 @@ def assess_receiver(fixes: Fixes, imu: ImuSamples, still: np.ndarray, found: Mou
     stated = float(np.nanmedian(stated)) if np.isfinite(stated).any() else None
     at_rest = scatter_at_rest(good, imu, still) if len(good) > 1 else None
     at_rest = None if at_rest is None else float(at_rest)
-    in_motion, outliers = None, 0.0
+    in_motion = None
     if found is not None and found.spans is not None and found.yaw_known:
         drive = found.spans
         along = drive.force @ found.rotation[0] - found.bias @ found.rotation[0]
         along -= STANDARD_GRAVITY * np.sin(np.nan_to_num(drive.grade))
         misfit = (drive.acceleration - along) * drive.length**2 / np.sqrt(6.0)
         sensors = _ROUGHNESS * drive.length**2  # what the accelerometers and the road add
-        whole = robust_sigma(misfit)
-        in_motion = float(np.sqrt(max(whole**2 - sensors**2, 0.0))) or None
-        outliers = float((np.abs(misfit) > _OUTLIER * max(whole, stated or 0.0, sensors)).mean())
-    return Receiver(stated, at_rest, in_motion, outliers, _delay(fixes, imu))
+        in_motion = float(np.sqrt(max(robust_sigma(misfit)**2 - sensors**2, 0.0))) or None
+    return Receiver(stated, at_rest, in_motion, _delay(fixes, imu))
 
 
 def _delay(fixes, imu) -> float | None:

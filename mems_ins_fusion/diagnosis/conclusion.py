@@ -1,24 +1,21 @@
 """What a search has found, made into parameters: which corrections are proven together, and what a user is told."""
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..configuration.offset import FLOOR, Offset
 from ..evaluation.verdict import BETTER, CANNOT_TELL, WORSE, Verdict
 from . import learned_mounting
 from .detection import detect
 from .drives import Drives, part
-from .estimate import PLAIN, SYSTEMATIC, Estimate, widened
-from .exact import of_what_is_held
+from .estimate import PLAIN, Estimate, widened
+from .exact import sigmas
 from .findings import Diagnosis, Finding
-from .fit import Model
 from .folds import parts, which_part
 from .held_out import HeldOut
-from .judgement import compared, gain_proven, judged, predicts_worse, unproven
+from .judgement import RUNS, compared, gain_proven, judged, predicts_worse, unproven
 from .judging import by_drive_of
 from .known import Known
 from .measured import Measured, in_common, saved
@@ -44,8 +41,6 @@ NO_PROOF = 'no smaller error is proven with it'
 PREDICTS_WORSE = 'errors and sigmas together predict positions less well with it'
 #: why what makes errors smaller is not in corrected.yaml
 NO_GAIN_OF_OTHERS = 'the noise levels or settings that belong to what was found have no proven gain of their own'
-#: s; a receiver smooths over no longer
-LONGEST_SMOOTHING = 10.0
 #: what is told of settings that are tried the other way round, where positions are predicted better so
 _SWITCHED = {
     'imu.adapt_noise': {
@@ -91,7 +86,10 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
     given = trials.origin.given
     configured = Correction(given, [given], {}, False)
     fitted = _levelled(configured, trials)
-    corrections = _options(known, fitted, configured, trials)
+    ran = _running(configured, trials)
+    # errors are those of filters fitted to a part; that of corrected.yaml has to run as well
+    corrections = [option for option in _options(known, fitted, configured, trials)
+                   if _running(option, trials) >= RUNS * ran]
     trials.tell(MEASURING, 'measuring errors')
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
     correction, after, verdict, judged_by, against = _chosen([
@@ -209,6 +207,11 @@ def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[T
     return [*sorted(found, key=merit, reverse=True), Tried(configured, measured(configured))]
 
 
+def _running(correction: Correction, trials: TrialRuns) -> int:
+    """The number of fixes that the filter of a correction is running at."""
+    return int(np.isfinite(trials.origin.observed(correction.values).z[trials.origin.mask, 0]).sum())
+
+
 def _only_told(finding: Finding, against: str) -> Finding:
     return replace(finding, added=False, changes={}, reason=finding.reason or against or NO_PROOF)
 
@@ -297,17 +300,13 @@ def _merit(measured: Measured) -> float:
 def _final(known: Known, hidden, corrected: dict, trials: TrialRuns) -> list[Finding]:
     """All findings with the estimates of the last joint fit, and what each has changed in `corrected`."""
     model, found = known.model, []
-    effects, given, track = {e.name: e for e in trials.library}, trials.origin.given, trials.beside.track
-    sigma = np.hypot(model.sigma(), of_what_is_held(model, track, given))
+    effects, given = {e.name: e for e in trials.library}, trials.origin.given
+    sigma = sigmas(model, trials.beside.track, given)
     for finding in known.findings:
         own = widened({u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
                        for u, x, s in zip(model.unknowns, model.x, sigma)
                        if u.effect == finding.name and not u.noise and u.parameter in finding.parameters})
         parameters = finding.parameters
-        if finding.name == 'gnss_time_offset':
-            further = _of_receiver(model, track)
-            own, parameters = ({n: replace(e, sigma=math.hypot(e.sigma, further)) if e.known else e
-                                for n, e in said.items()} for said in (own, parameters))
         if finding.added and own:
             parameters = {n: own.get(n, e) for n, e in parameters.items() if n in own or e.sigma is None}
         parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
@@ -327,16 +326,6 @@ def _final(known: Known, hidden, corrected: dict, trials: TrialRuns) -> list[Fin
             finding = replace(finding, drives=by_drive_of(model, effect, known.noise, own)[0])
         found.append(replace(finding, parameters=parameters, changes=changes))
     return found
-
-
-def _of_receiver(model: Model, track: Offset | None) -> float:
-    """What the sigma of a time offset lacks, s, as the receiver may smooth its positions: to who brakes or turns
-    meanwhile that is a delay of its own. Its errors last for as long, unless they last for longer than a receiver's
-    filter; and by so much `track` cannot tell the two apart, unless `model` has both."""
-    lasting = [u.meant(x, 0.0)[0] for u, x in zip(model.unknowns, model.x) if u.name == 'gnss_coloured_noise.tau']
-    smoothed = lasting[0] if lasting and lasting[0] < LONGEST_SMOOTHING else 0.0
-    undecided = track.undecided if track is not None and 'gnss_lag' not in {u.effect for u in model.unknowns} else 0.0
-    return math.hypot(SYSTEMATIC * smoothed, undecided, FLOOR)
 
 
 def _not_shown(known: Known, settings: Sequence[Finding]) -> dict[str, str]:

@@ -1,6 +1,8 @@
-"""The uncertainty of what a fit takes for exact. Along the track, an antenna that is further ahead than the params
-file says is the same as an offset of the clocks by that distance over the speed: at walking speed, decimetres are
-tenths of a second. A fit of one of the two takes the other for exact, whose uncertainty its sigma then lacks.
+"""The sigmas of what a fit finds, with the uncertainty of what it takes for exact.
+
+Along the track, an antenna that is further ahead than the params file says is the same as an offset of the clocks by
+that distance over the speed: at walking speed, decimetres are tenths of a second. A fit of one of the two takes the
+other for exact, whose uncertainty its sigma then lacks.
 """
 from __future__ import annotations
 
@@ -10,8 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..configuration.offset import Offset
+from ..configuration.offset import FLOOR, Offset
 from ..effects.registry import EFFECTS
+from .estimate import SYSTEMATIC
 from .fit import Model, scores
 from .problem import Unknown
 from .tracing import effect_unknowns
@@ -21,6 +24,28 @@ TOGETHER = 'gnss_time_offset', 'gnss_lever_arm', 'gnss_lag'
 #: those of TOGETHER whose uncertainty counts where they are not fitted; that of a receiver that smooths is in the sigma
 #: of the offset already, where the track cannot tell the two apart (`Offset.undecided`)
 HELD = 'gnss_time_offset', 'gnss_lever_arm'
+#: s; a receiver smooths over no longer
+LONGEST_SMOOTHING = 10.0
+
+
+def sigmas(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:
+    """Standard deviations of all that `model` has found, (p,): what decides whether it is there, and what is told.
+
+    track, given: as of `of_what_is_held`.
+    """
+    receiver = [of_receiver(model, track) if u.effect == 'gnss_time_offset' and not u.noise else 0.0
+                for u in model.unknowns]
+    return np.hypot(np.hypot(model.sigma(), of_what_is_held(model, track, given)), receiver)
+
+
+def of_receiver(model: Model, track: Offset | None) -> float:
+    """What the sigma of a time offset lacks, s, as the receiver may smooth its positions: to who brakes or turns
+    meanwhile that is a delay of its own. Its errors last for as long, unless they last for longer than a receiver's
+    filter; and by so much `track` cannot tell the two apart, unless `model` has both."""
+    lasting = [u.meant(x, 0.0)[0] for u, x in zip(model.unknowns, model.x) if u.name == 'gnss_coloured_noise.tau']
+    smoothed = lasting[0] if lasting and lasting[0] < LONGEST_SMOOTHING else 0.0
+    undecided = track.undecided if track is not None and 'gnss_lag' not in {u.effect for u in model.unknowns} else 0.0
+    return math.hypot(SYSTEMATIC * smoothed, undecided, FLOOR)
 
 
 def of_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:

@@ -5,7 +5,7 @@ that one.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -24,6 +24,9 @@ SIGNIFICANCE = 0.2
 CLEAR = 12.5
 #: what is new is supported by a part of the data where it is no chance at this level
 SUPPORT = 0.95
+#: share of the parts that the rest of the data has to support it for: an effect that is not there without the one part
+#: or the other is no better known than that
+MOST = 0.5
 #: a gain, or an error that has changed, is certain when chance would give it this rarely
 CERTAIN = 0.01
 
@@ -33,17 +36,23 @@ class HeldOut:
     """Gain of log likelihood on fixes that the estimate did not see: total, and p of no gain by blocks of time.
 
     estimates: the unknowns by the part that was held out. drives: gain and p of no loss, by the name of each of several
-    drives.
+    drives. supported: the share of the parts for which the rest of the data supports what is new.
     """
 
     gain: float
     p: float
     estimates: list[np.ndarray]
     drives: dict[str, tuple[float, float]] = field(default_factory=dict)
+    supported: float = 1.0
+
+    @property
+    def stands(self) -> bool:
+        """Whether most of the data would have led to it."""
+        return self.supported > MOST
 
     @property
     def helps(self) -> bool:
-        return self.gain > 0 and (self.p < CERTAIN or self.gain > CLEAR and self.p < SIGNIFICANCE)
+        return self.stands and self.gain > 0 and (self.p < CERTAIN or self.gain > CLEAR and self.p < SIGNIFICANCE)
 
 
 def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
@@ -57,20 +66,22 @@ def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
     place = {u.name: i for i, u in enumerate(longer.unknowns)}
     old = [place[u.name] for u in shorter.unknowns]
     new = sorted(set(place.values()) - set(old))
-    found, without = [], []
+    found, without, supported = [], [], 0
     for part in parts(problem):
         mask = problem.mask & ~part
         x, covariance = longer.refitted(mask, noise)
         without.append(shorter.refitted(mask, noise)[0])
         if x[new] @ np.linalg.solve(covariance[np.ix_(new, new)], x[new]) < chi2.ppf(SUPPORT, len(new)):
             x[old], x[new] = without[-1], 0.0
+        else:
+            supported += 1
         found.append(x)
     one, other = problem.residuals(longer.unknowns, found), problem.residuals(shorter.unknowns, without)
     gains = np.zeros(len(problem.stamp))
     for part, with_it, plain in zip(parts(problem), one, other):
         # a fix that one of them did not get to see says nothing
         gains[part] = np.nan_to_num((with_it.log_likelihood() - plain.log_likelihood())[part])
-    return _of_gains(problem, gains, found)
+    return replace(_of_gains(problem, gains, found), supported=supported / len(found))
 
 
 def gain_of(problem: Problem, before: Residual, after: Residual) -> HeldOut:

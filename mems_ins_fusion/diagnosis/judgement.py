@@ -184,6 +184,8 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     models them. Nor are ellipses that hold a far smaller error less often, or one with an effect that is certain: what
     else is wrong shows only now, and noise levels, which decide on ellipses, are chosen at the end.
     """
+    if not proof.stands:
+        return 'not there without the one part of the recording or the other'
     change = all_in_all(comparison)
     settled = 0.0 < change <= PLAINLY or proof.helps and proof.p < CERTAIN
     worse = harm(comparison, proof.helps, 0.0 if settled else COVERED)

@@ -9,7 +9,7 @@ import numpy as np
 from ..effects.base import Effect
 from .agreement import by_drive, contradicted, said
 from .estimate import PLAIN, Estimate, widened
-from .exact import of_what_is_held
+from .exact import sigmas
 from .fit import Model, fit, refined
 from .held_out import HeldOut, gain_of, held_out
 from .judgement import compared, objection
@@ -89,7 +89,7 @@ def judge(known: Known, candidate: Candidate, model: Model, trials: TrialRuns) -
     if len(model.unknowns) == first:
         return Judged(candidate, known.model, {}, {}, HeldOut(0.0, 1.0, []), known.errors,
                       contradiction or 'not determined once all is fitted together', drives, apart)
-    sigma = np.hypot(model.sigma(), of_what_is_held(model, trials.beside.track, trials.origin.given))
+    sigma = sigmas(model, trials.beside.track, trials.origin.given)
     parameters = {name: e for name, e in _estimates(candidate, model, first, sigma).items()
                   if f'{candidate.name}.{name}' not in hidden}
     # the same noise levels may suit the shorter model better, too
@@ -101,7 +101,8 @@ def judge(known: Known, candidate: Candidate, model: Model, trials: TrialRuns) -
     # that something is there needs no second proof where the recordings show it for certain
     plain = model.sigma() if candidate.name in trials.certain else sigma
     against = (implausible(candidate.name, parameters, trials.shown) or _of_another_clock(known, candidate, trials)
-               or contradiction or _small(model, first, plain) or objection(proof, compared(known.errors, errors)))
+               or contradiction or small(model, range(first, len(model.unknowns)), plain)
+               or objection(proof, compared(known.errors, errors)))
     return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
 
 
@@ -113,10 +114,11 @@ def _of_another_clock(known: Known, candidate: Candidate, trials: TrialRuns) -> 
         if late else ''
 
 
-def _small(model: Model, first: int, sigma: np.ndarray) -> str:
-    """An objection to an effect none of whose parameters is PLAIN; empty where one is."""
+def small(model: Model, own: Sequence[int], sigma: np.ndarray) -> str:
+    """An objection to an effect with the unknowns `own` (indices) none of which is PLAIN; empty where one is. sigma:
+    (p,) of all unknowns."""
     plain = [u.variance or u.factor_on is None and abs(x) >= PLAIN * s
-             for u, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:])]
+             for u, x, s in ((model.unknowns[i], model.x[i], sigma[i]) for i in own)]
     return '' if any(plain) else f'less than {PLAIN:g} sigma'
 
 

@@ -13,12 +13,13 @@ from ..effects.gnss_outliers import far_off
 from . import learned_mounting
 from .agreement import plainest_in_one
 from .drives import Drives
+from .exact import sigmas
 from .findings import Finding
 from .fit import Model, fit, scores
 from .folds import parts
 from .held_out import CERTAIN, held_out
 from .judgement import all_in_all, compared, objection
-from .judging import CLOSE, COMPARED, Judged, judge, prune, with_candidate
+from .judging import CLOSE, COMPARED, REFITTED, Judged, judge, prune, small, with_candidate
 from .known import Known
 from .measured import saved
 from .noise import calibrated, noise_unknowns
@@ -252,17 +253,29 @@ def without_superseded(known: Known, trials: TrialRuns) -> Known:
 
 
 def without_undetermined(known: Known, trials: TrialRuns) -> Known:
-    """Without the parameters that effects added later have left undetermined."""
-    pruned = prune(known.model, known.noise)
+    """Without the effects and parameters that effects added later have left undetermined: what is added has to be as
+    plain in the end as when it was added."""
+    model, reasons = known.model, {}
+    sigma = sigmas(model, trials.beside.track, trials.origin.given)
+    for finding in known.findings:
+        own = [i for i, u in enumerate(model.unknowns) if u.effect == finding.name and not u.noise]
+        if finding.added and own and finding.name not in trials.certain and (why := small(model, own, sigma)):
+            reasons[finding.name] = f'{why} with the effects that were added later'
+    kept = [i for i, u in enumerate(model.unknowns) if u.noise or u.effect not in reasons]
+    if reasons:
+        model = fit(known.problem, [model.unknowns[i] for i in kept], model.x[kept], REFITTED)
+    pruned = prune(model, known.noise)
     if pruned is known.model:
         return known
     left = {u.name for u in pruned.unknowns}
-    gone = {u.name: 'not determined by this recording' for u in known.model.unknowns if u.name not in left}
+    gone = {u.name: 'not determined by this recording' for u in known.model.unknowns
+            if u.name not in left and u.effect not in reasons}
     findings = []
     for finding in known.findings:
         own = {u.name for u in known.model.unknowns if u.effect == finding.name and not u.noise}
         if finding.added and own and not own & left:
-            finding = replace(finding, added=False, reason='not determined with the effects that were added later')
+            finding = replace(finding, added=False, reason=reasons.get(
+                finding.name, 'not determined with the effects that were added later'))
         findings.append(finding)
     estimates = tuple(_by_part(pruned, known.noise))
     known = replace(known, model=pruned, estimates=estimates, findings=tuple(findings), hidden=known.hidden | gone)
