@@ -121,3 +121,15 @@ def test_what_cannot_be_is_said():
     # and a filter without a height says that it has none
     with pytest.raises(ParameterError, match="'pressure_topic' needs mechanization strapdown"):
         config(mechanization='planar')
+
+
+def test_a_filter_without_a_height_leaves_recorded_pressures_out():
+    # given pressures of a recording, which no parameter names
+    recording = made(duration=60.0)
+    planar = config(pressure_topic='', mechanization='planar')
+    # then the run is the same without them, and the live filter names the inputs that it has
+    without, given = (run(planar, recording.imu, recording.gnss, aiding)
+                      for aiding in (Measured(), Measured(pressure=recording.others['pressure'])))
+    assert np.array_equal(without.sigma, given.sigma) and np.array_equal(without.latitude, given.latitude)
+    with pytest.raises(ValueError, match="no input 'pressure'; it has fix, speed"):
+        FusionFilter(planar).add('pressure', 0, 1e5, 100.0)

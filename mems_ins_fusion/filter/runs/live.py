@@ -209,7 +209,10 @@ class FusionFilter(FilterStatus):
 
     def add(self, name: str, stamp: int, *numbers) -> None:
         """One measurement of the input `name`; numbers: the fields of its samples (`Measurement.samples`), in order."""
-        measurement = next(m for m in self.config.inputs.values() if m.name == name)
+        measurement = next((m for m in self.config.inputs.values() if m.name == name), None)
+        if measurement is None:
+            raise ValueError(f"the filter has no input '{name}'; it has "
+                             + ', '.join(one.name for one in self.config.inputs.values()))
         if self._using_fixes or not measurement.of_antenna:
             stamps, values = np.array([stamp], dtype=np.int64), (np.array([number], dtype=float) for number in numbers)
             self._add(measurement.number, measurement.samples(stamps, stamps, *values))
