@@ -167,8 +167,8 @@ class Input:
 
     @property
     def kind(self) -> str:
-        """The types that it may carry, in words."""
-        return ' or '.join(self._kinds)
+        """The type that it carries; until that is known, those that it may carry."""
+        return ' or '.join(self._kinds) if self._subscription is None else _name(self._subscription.msg_type)
 
     @property
     def is_subscribed(self) -> bool:

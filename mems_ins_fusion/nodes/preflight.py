@@ -65,7 +65,8 @@ class Preflight:
         traffic = told.traffic
         if not traffic.count:
             return told.kind, f'no message: {told.why_silent()}'
-        seen = f"{told.kind}, {traffic.hertz:.1f} Hz, frame '{traffic.frame_id}', stamps {traffic.delay:.3g} s old"
+        seen = (f"{told.kind.rpartition('/')[2]}, {traffic.hertz:.3g} Hz, frame '{traffic.frame_id}', "
+                f'stamps {traffic.delay:.2g} s old')
         if told.name == 'imu' and traffic.hertz < 20.0:
             return seen, 'an IMU needs 20 Hz or more'
         return seen, told.qos_problem()
