@@ -252,7 +252,7 @@ document.querySelectorAll('.track').forEach(function (root) {
       }
     const rows = [at, ...others];
     const head = document.createElement('b');
-    head.textContent = t + ' s after the start';
+    head.textContent = +t.toFixed(1) + ' s after the start';
     said.append(head);
     for (const {layer: l, i} of rows) {
       const row = document.createElement('div');

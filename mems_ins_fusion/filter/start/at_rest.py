@@ -136,8 +136,9 @@ def note_standstill(standstill: Standstill | None, latitude: float, height: floa
     bias = ', '.join(f'{math.degrees(w):.3f}' for w in standstill.angular_rate)
     removed = ' (removed)' if config.alignment.level else ''
     expected = gravity(latitude, height)
-    text = (f'standstill of {standstill.duration:.1f} s: gyroscope bias {bias} deg/s, tilt {tilt:.1f} deg{removed}, '
-            f'specific force {size:.3f} m/s^2 (gravity {expected:.3f})')
+    text = (f'standstill of {standstill.duration:.1f} s: gyroscope bias {bias} deg/s (forward, right, down), '
+            f'tilt {tilt:.1f} deg{removed}, specific force {size:.3f} m/s^2 '
+            f'(gravity here {expected:.3f})')
     notes = [('info', text)]
     if abs(size - expected) > GRAVITY_TOLERANCE * expected:
         notes.append(('error', f'{config.imu.topic}: linear_acceleration is {size:.3f} at rest '
