@@ -157,7 +157,7 @@ with event.install_recorder('numba:compile') as compiled:
             for k in np.flatnonzero((gnss.stamp > imu.stamp[i - 1]) & (gnss.stamp <= imu.stamp[i])) if i else ():
                 live.add_fix(int(gnss.stamp[k]), float(gnss.latitude[k]), float(gnss.longitude[k]),
                              float(gnss.height[k]), gnss.covariance[k].reshape(9))
-        assert live.status == 'running'
+        assert live.status == 'running' and live.health() and live.snapshot()
 print('left:', sorted({str(e.data['dispatcher'].py_func.__name__) for _, e in compiled.buffer}))
 """
     environment = {**os.environ, 'PYTHONPATH': str(PACKAGE.parent)}
