@@ -145,7 +145,7 @@ with event.install_recorder('numba:compile') as compiled:
     fit_gauss_markov(average([np.random.default_rng(1).standard_normal(2000)], 5, 0.02))
     recording = simulate_recording(simulate_drive(60.0, seed=2, rate=10.0)).recording
     imu, gnss = recording.imu, recording.gnss
-    positions(gnss)  # as the node's looks at mounting and inputs do
+    positions(gnss.select(slice(None, None, 2)))  # as the node's looks at mounting and inputs do
     compare(recording, table.check({'mechanization': 'strapdown', 'outage_durations': [5.0], 'feedback': 'open'}))
     for mechanization in ('planar', 'strapdown'):
         values = table.check({'mechanization': mechanization, 'vehicle.zero_velocity': True,
