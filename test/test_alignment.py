@@ -239,7 +239,7 @@ def test_it_says_what_it_waits_for(template):
             i = k // 50
             fusion.add_fix(int(gnss.stamp[i]), gnss.latitude[i], gnss.longitude[i], gnss.height[i],
                            gnss.covariance[i].ravel())
-    waiting = 'waiting for the vehicle to move straight on: the heading comes from the course of the fixes'
+    waiting = 'waiting for the vehicle to move straight on: its course shows the heading'
     assert fusion.status == waiting
     assert texts(fusion.notices()) == ['waiting for a fix on /gps/fix', waiting]  # each once
     assert texts(run(config, imu, gnss).notices)[-1] == f'the filter did not start: {waiting}'

@@ -133,8 +133,10 @@ def test_clocks_of_stamp_and_log(sound):
 
 
 def test_imu_and_fixes_apart_in_time(sound):
-    later = sound.gnss.stamp + 3600 * 10**9
-    assert finding(with_fixes(sound, stamp=later, received=later), 'do not overlap', ERROR).topic == 'imu/gnss'
+    for shift, said in ((3600, '3601 s after the IMU'), (-3600, '3599 s before the IMU')):
+        stamp = sound.gnss.stamp + shift * 10**9
+        found = finding(with_fixes(sound, stamp=stamp, received=stamp), 'do not overlap', ERROR)
+        assert found.topic == 'imu/gnss' and said in found.message
 
 
 def test_samples_that_are_no_numbers(sound):

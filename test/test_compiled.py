@@ -140,10 +140,12 @@ with event.install_recorder('numba:compile') as compiled:
     from mems_ins_fusion.filter.runs.live import FusionFilter
     from mems_ins_fusion.filter.runs.replay import run
     from mems_ins_fusion.parameters import table
+    from mems_ins_fusion.recordings.motion import positions
     from mems_ins_fusion.simulation.simulation import simulate_drive, simulate_recording
     fit_gauss_markov(average([np.random.default_rng(1).standard_normal(2000)], 5, 0.02))
     recording = simulate_recording(simulate_drive(60.0, seed=2, rate=10.0)).recording
     imu, gnss = recording.imu, recording.gnss
+    positions(gnss.select(slice(None, None, 2)))  # as the node's looks at mounting and inputs do
     compare(recording, table.check({'mechanization': 'strapdown', 'outage_durations': [5.0], 'feedback': 'open'}))
     for mechanization in ('planar', 'strapdown'):
         values = table.check({'mechanization': mechanization, 'vehicle.zero_velocity': True,
@@ -157,7 +159,7 @@ with event.install_recorder('numba:compile') as compiled:
             for k in np.flatnonzero((gnss.stamp > imu.stamp[i - 1]) & (gnss.stamp <= imu.stamp[i])) if i else ():
                 live.add_fix(int(gnss.stamp[k]), float(gnss.latitude[k]), float(gnss.longitude[k]),
                              float(gnss.height[k]), gnss.covariance[k].reshape(9))
-        assert live.status == 'running'
+        assert live.status == 'running' and live.health() and live.snapshot()
 print('left:', sorted({str(e.data['dispatcher'].py_func.__name__) for _, e in compiled.buffer}))
 """
     environment = {**os.environ, 'PYTHONPATH': str(PACKAGE.parent)}

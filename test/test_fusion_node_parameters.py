@@ -66,6 +66,7 @@ def test_a_wrong_argument_is_refused(refusal, arguments, said):
     ('/**:\n  ros__parameters:\n    gnss: {sigma: 1.0, lever_arms: [1.0, 0.0, 0.0]}\n',
      "unknown parameter 'gnss.lever_arms'; did you mean 'gnss.lever_arm'?"),
     ('/**:\n  ros__parameters:\n    gnss.lever_arm: [1, 0.5, 0]\n', "as in 'gnss.lever_arm': [1, 0.5, 0]"),
+    ('5\n', 'holds no parameters'),
     ('/**:\n\tros__parameters:\n', 'is not valid YAML'),
     ('/**:\n  gnss.sigma: 1.0\n', "each node's parameters must stand under 'ros__parameters'"),
 ])

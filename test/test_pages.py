@@ -210,10 +210,9 @@ def test_nothing_is_wider_than_its_page(folder, browser, page):
 
 
 def test_the_track_shows_what_the_cursor_points_at(browser, tmp_path):
-    # given a line east, whose error, sigma, NIS and speed are known, with a gap in what is known of it
+    # given a line east, whose error, sigma and speed are known
     time = np.arange(0.0, 100.0, 0.5)
-    values = {'error': time / 10, 'sigma': np.full(200, 1.5), 'nis': np.where(time < 90, 2.25, np.nan),
-              'speed': np.full(200, 7.0)}
+    values = {'error': time / 10, 'sigma': np.full(200, 1.5), 'speed': np.full(200, 7.0)}
     line = Layer('a <line>', '#0072b2', time, 7 * time, 0 * time, values)
     outage = Layer('outage', '#cc79a7', time[50:60], 7 * time[50:60], np.full(10, 300.0), {'error': np.full(10, 3.0)},
                    first=np.array([0, 5]), ends=np.array([[1.0, 2.0, 3.0, 4.0]]))
@@ -234,7 +233,7 @@ def test_the_track_shows_what_the_cursor_points_at(browser, tmp_path):
     said = browser.run('return document.querySelector(".said").innerText')
     seconds = float(said.split(' s after')[0])
     assert seconds == pytest.approx(49.75, abs=0.5)
-    assert f'error {seconds / 10:g} m, sigma 1.5 m, speed 7 m/s, NIS of the last fix 2.25' in said
+    assert f'error {seconds / 10:g} m, sigma 1.5 m, speed 7 m/s' in said
     # and zooming in makes the same distance on the screen a shorter one on the ground
     browser.command('Input.dispatchMouseEvent', type='mouseWheel', x=x + width / 2, y=middle, deltaX=0, deltaY=-1000)
     browser.command('Input.dispatchMouseEvent', type='mouseMoved', x=x + width / 2 + 200, y=middle)

@@ -37,7 +37,7 @@ def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
     """What usable fixes of two receivers, in the order of their stamps, show; None with too little motion."""
     if len(first) < _FEWEST or len(second) < _FEWEST:
         return None
-    datum = float(first.latitude[0]), float(first.longitude[0]), float(first.height[0])
+    datum = np.array([first.latitude[0], first.longitude[0], first.height[0]])
     both = first, second
     one, two = (np.column_stack(to_local(part.latitude, part.longitude, part.height, datum)) for part in both)
     at, time = ((part.stamp - first.stamp[0]) * 1e-9 for part in both)

@@ -168,8 +168,8 @@ class Input:
 
     @property
     def kind(self) -> str:
-        """The message types that it may have, in words."""
-        return ' or '.join(self._kinds)
+        """The message type that it carries; until that is known, those that it may carry, in words."""
+        return ' or '.join(self._kinds) if self._subscription is None else _name(self._subscription.msg_type)
 
     @property
     def is_subscribed(self) -> bool:

@@ -11,11 +11,14 @@ import subprocess
 import sys
 import time
 
+import numpy as np
+
 from ..compiled import FOLDER
 from ..filter.config import FilterConfig
 from ..filter.runs.imus import Imus
 from ..filter.runs.live import FusionFilter
 from ..filter.runs.odometry import ORIENTATION, POSE_COVARIANCE
+from ..navigation.earth import to_local
 from ..parameters import table
 from .output import Prediction, SmoothFrame
 from .run import Stop
@@ -67,6 +70,7 @@ def _warm_up(fusion):
     smooth.advance(0)
     smooth.advance(10_000_000)
     Prediction(estimate).advance(0.01)
+    to_local(*np.zeros((3, 1)), np.zeros(3))  # of several fixes: the looks at the mounting and at other inputs
 
 
 if __name__ == '__main__':

@@ -66,7 +66,8 @@ class Preflight:
         traffic = source.traffic
         if not traffic.count:
             return source.kind, f'no message: {source.why_silent()}'
-        seen = f"{source.kind}, {traffic.hertz:.1f} Hz, frame '{traffic.frame_id}', stamps {traffic.delay:.3g} s old"
+        seen = (f"{source.kind.rpartition('/')[2]}, {traffic.hertz:.3g} Hz, frame '{traffic.frame_id}', "
+                f'stamps {traffic.delay:.2g} s old')
         if source.name == 'imu' and traffic.hertz < 20.0:
             return seen, 'an IMU needs 20 Hz or more'
         return seen, source.qos_problem()

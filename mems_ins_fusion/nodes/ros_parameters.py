@@ -100,9 +100,11 @@ def _refuse_files_for_others(node: Node, argv: list[str]) -> None:
     for path in params_files(argv):
         content = read_yaml(path)
         sections = list(_sections(content)) if isinstance(content, dict) else []
+        if not sections:
+            raise ParameterError(f'params file {path} holds no parameters')
         if not any(_matches(section, name) for section in sections):
             raise ParameterError(f"params file {path} holds nothing for the node '{name}', "
-                                 f"only for {', '.join(sections) or 'none'}")
+                                 f"only for {', '.join(sections)}")
 
 
 def _sections(tree: dict, prefix: str = '') -> Iterator[str]:

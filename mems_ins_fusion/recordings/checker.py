@@ -215,8 +215,8 @@ def _check_fixes_present(fixes: Fixes, declared: float):
 
 def _no_overlap(imu, fixes):
     offset = float(fixes.stamp[0] - imu.stamp[0]) * 1e-9
-    return Finding(ERROR, 'imu/gnss', f'IMU and fixes do not overlap in time: the fixes begin {offset:.1f} s after the '
-                   'IMU by their stamps', {'offset_s': offset})
+    return Finding(ERROR, 'imu/gnss', f'IMU and fixes do not overlap in time: the fixes begin {abs(offset):.4g} s '
+                   f'{"after" if offset > 0 else "before"} the IMU by their stamps', {'offset_s': offset})
 
 
 def _check_gravity(imu, still, expected, units: Units, declared, values):

@@ -65,8 +65,10 @@ def advancing(imu: ImuSamples, origin: int) -> tuple[np.ndarray, np.ndarray, np.
 
 def positions(fixes: Fixes) -> np.ndarray:
     """(n, 2) north and east, m, from the first of `fixes`, which must all be valid."""
-    datum = float(fixes.latitude[0]), float(fixes.longitude[0]), float(fixes.height[0])
-    return np.column_stack(to_local(fixes.latitude, fixes.longitude, fixes.height, datum)[:2])
+    datum = np.array([fixes.latitude[0], fixes.longitude[0], fixes.height[0]])
+    # contiguous, as those that `compile` has compiled it for: each fifth fix is not
+    places = map(np.ascontiguousarray, (fixes.latitude, fixes.longitude, fixes.height))
+    return np.column_stack(to_local(*places, datum)[:2])
 
 
 def sigmas(fixes: Fixes, unstated: float = math.nan) -> np.ndarray:

@@ -46,7 +46,7 @@ def _headline(c: Characterization, wrong: list[str]) -> str:
     if decided == len(c.axes):
         why = 'the data decide for it on all axes'
     elif any(not a.recommendation.decided and a.recommendation.model != c.model for a in c.axes):
-        why = 'no axis decides alone, all together do'
+        why = 'all axes together decide, not each alone'
     elif decided:
         why = f'the data decide on {decided} of {len(c.axes)} axes; elsewhere it is the simplest that does as well'
     else:

@@ -305,8 +305,8 @@ def report_html(diagnosis: Diagnosis, given: dict, answered: Answer, checked=(),
 def _answered(d: Diagnosis, answered: Answer) -> html.Html:
     shown = _drives(d) if d.drives else _track(d)
     return html.section('Use corrected.yaml?', answered.html(), shown, html.figure(
-        plots.errors(d), 'Horizontal position error before and after, to the left with the fixes used, to the right '
-        'against the time without fixes: median, and half of the outages.'))
+        plots.errors(d), f'Horizontal position error{" before and after" if d.changed else ""}, to the left with the '
+        'fixes used, to the right against the time without fixes: median, and half of the outages.'))
 
 
 def _track(d: Diagnosis) -> html.Html:
@@ -445,8 +445,10 @@ def _errors(d: Diagnosis) -> html.Html:
         'recording, unless no effect was added.',
         html.table(columns, table, digits=3),
         html.table(('what', 'count', 'before', 'after', 'difference', '95 % interval', 'p of no difference'), rows,
-                   'Paired differences, after minus before' + ('.' if d.changed else ': what was tried, and is not in '
-                                                               'corrected.yaml.'), 3))
+                   'Paired differences, after minus before' + ('' if d.changed else ': what was tried, and is not in '
+                                                               'corrected.yaml') +
+                   '. Each interval is of its row alone; those of the answer hold for all rows at once, and are wider.',
+                   3))
 
 
 def _interval(row: dict) -> str:

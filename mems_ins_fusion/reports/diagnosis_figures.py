@@ -109,8 +109,12 @@ def errors(diagnosis: Diagnosis):
 
 
 def measured_stages(diagnosis: Diagnosis) -> dict[str, Measured]:
-    """The errors measured, by stage; no stage after where nothing is better."""
-    stages = {'before': diagnosis.before, 'fitted': diagnosis.fitted}
+    """The errors measured, by stage; no other noise levels where they are those given, no stage after where nothing is
+    better."""
+    before, fitted = diagnosis.before, diagnosis.fitted
+    stages = {'before': before}
+    if not np.array_equal(before.continuous.horizontal, fitted.continuous.horizontal):
+        stages['fitted'] = fitted
     return stages | ({'after': diagnosis.after} if diagnosis.changed else {})
 
 

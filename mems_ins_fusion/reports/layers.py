@@ -110,9 +110,7 @@ def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
     for stage, name, measured, colour in stages:
         errors = measured.continuous
         north, east = ground.of(errors)
-        nis = (d.residuals[stage].whitened()**2).sum(axis=1)
-        values = {'error': errors.horizontal, 'sigma': errors.sigma,
-                  'nis': _latest(problem.stamp, nis, errors.stamp), 'speed': _speed(ground, errors.stamp)}
+        values = {'error': errors.horizontal, 'sigma': errors.sigma, 'speed': _speed(ground, errors.stamp)}
         layers.append(Layer(f'{name}, all fixes', colour, seconds(errors.stamp, origin), east, north, values,
                             3.0 if stage == 'before' else 1.8))
     for _, name, measured, colour in stages:
@@ -169,13 +167,7 @@ def _read(run: Run, errors: Errors) -> dict[str, np.ndarray]:
     near = np.abs(errors.stamp[_nearest(errors.stamp, run.stamp)] - run.stamp) < NEAR * 1e9
     error = np.interp(run.stamp - run.stamp[0], errors.stamp - run.stamp[0], errors.horizontal)
     return {'speed': np.hypot(*run.velocity[:, :2].T), 'error': np.where(near, error, np.nan),
-            'sigma': np.hypot(run.sigma[:, 0], run.sigma[:, 1]),
-            'nis': _latest(run.innovations.stamp, run.innovations.nis, run.stamp)}
-
-
-def _latest(stamp: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The value at the last `stamp` up to each of `wanted`, NaN before the first."""
-    return np.append(values, np.nan)[np.searchsorted(stamp, wanted, side='right') - 1]
+            'sigma': np.hypot(run.sigma[:, 0], run.sigma[:, 1])}
 
 
 def _speed(ground: Ground, wanted: np.ndarray) -> np.ndarray:

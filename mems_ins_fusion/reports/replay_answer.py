@@ -93,7 +93,7 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
     if trust.answer == NO and verdict.answer == WORSE:  # else the headline says it
         wrong.insert(0, f'Its sigmas are too small: {too_small_text(trust)}.')
     if verdict.fitted_here:
-        wrong.append('The parameters were fitted to this very recording: on another drive errors will be larger.')
+        wrong.insert(0, 'The parameters were fitted to this very recording: on another drive errors will be larger.')
     grade = _grade(verdict, trust)
     accuracy = _accuracy(comparison, best, values['fixes_until'])
     steps = [] if verdict.answer == NOT_USABLE else _steps(grade, comparison, best, values, bag, params_file)
@@ -236,9 +236,8 @@ def _contest(comparison: Comparison, pairs: list[PairResult], where: str) -> str
     spread = error[worst] / error[best] - 1 if error[best] > 0 else 0.0
     if not beaten:
         p = next((pair.p_adjusted for pair in against_best if worst in (pair.first, pair.second)), 1.0)
-        return (f'{where} no model is certainly better than another ({listed} RMS): errors a second apart are alike, '
-                'so the difference rests on few stretches of the drive, and chance could deal them so (p '
-                f'{number(p, 2)}, all comparisons counted).')
+        return (f'{where} no model is certainly better than another ({listed} RMS): chance alone may make such a '
+                f'difference (p {number(p, 2)}, all comparisons counted).')
     over = ' and '.join(name[m] for m in beaten)
     size = (f', but by no more than {100 * spread:.1f} %, which nobody will notice' if spread < PRACTICAL
             else f'; the worst is {100 * spread:.0f} % worse')

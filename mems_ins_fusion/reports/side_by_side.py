@@ -213,7 +213,7 @@ def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
     names = first.name, second.name
     verdict = judged(first, second, rows)
     wrong = [_why_unpaired(rows)] if not all(row.count for row in rows) else []
-    wrong += [f'{r.name} was fitted to this recording: that it is better there is no proof. Compare on another drive.'
+    wrong += [f'{r.name} was fitted to this recording, where a smaller error proves nothing. Compare on another drive.'
               for r in (first, second) if r.fitted_here]
     best = {BETTER: second, WORSE: first}.get(verdict.answer)
     trust = '' if best is None else f'{best.name}: {trust_text(trust_of(best))}'

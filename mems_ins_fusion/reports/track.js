@@ -252,13 +252,13 @@ document.querySelectorAll('.track').forEach(function (root) {
       }
     const rows = [at, ...others];
     const head = document.createElement('b');
-    head.textContent = t + ' s after the start';
+    head.textContent = +t.toFixed(1) + ' s after the start';
     said.append(head);
     for (const {layer: l, i} of rows) {
       const row = document.createElement('div');
-      const sigma = l.sigma ? text(l.sigma[i], ' m') : '–', nis = l.nis ? text(l.nis[i], '') : '–';
+      const sigma = l.sigma ? text(l.sigma[i], ' m') : '–';
       row.textContent = l.name + (l.error ? ': error ' + text(l.error[i], ' m') + ', sigma ' + sigma : '')
-        + (l.speed ? ', speed ' + text(l.speed[i], ' m/s') : '') + (l.nis ? ', NIS of the last fix ' + nis : '');
+        + (l.speed ? ', speed ' + text(l.speed[i], ' m/s') : '');
       said.append(row);
     }
   }

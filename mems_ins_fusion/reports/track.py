@@ -17,7 +17,7 @@ from .html import Html, _text
 
 #: points of a layer, at most
 POINTS = 2500
-_HINT = ('Drag to move, wheel or two fingers to zoom, point at a line to read time, speed, error, sigma and NIS there. '
+_HINT = ('Drag to move, wheel or two fingers to zoom, point at a line to read time, speed, error and sigma there. '
          'Click a name to hide or show it. Below, the error against time, dotted twice the sigma of the first line: '
          'drag to zoom, double click for all.')
 
@@ -27,7 +27,7 @@ class Layer:
     """One line or set of points on the map.
 
     time (n,): s since the recording's start. east, north (n,): m. values: what the cursor reads, by name (`speed` m/s,
-    `error` m, `sigma` m: the filter's horizontal standard deviation, `nis`), (n,) each; a layer with `error` is also
+    `error` m, `sigma` m: the filter's horizontal standard deviation), (n,) each; a layer with `error` is also
     drawn against time. first: index of the first point of each piece, where it is in pieces. ends (p, 4): east and
     north of the estimate and of the truth at the end of each piece. points: radius in pixels where no line is drawn.
     """

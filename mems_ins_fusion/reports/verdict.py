@@ -24,8 +24,8 @@ def unsettled_text(left: Remaining) -> str:
     what, unit, digits = (('time offset between IMU and fixes', 's', 2) if left.name == TIME_OFFSET else
                           (f'{left.name} of the mounting', 'deg', 1))
     value, sigma = (left.value, left.sigma) if unit == 's' else map(math.degrees, (left.value, left.sigma))
-    known = f'off by {value:.{digits}f} +- ' if left.certain(0.0, 0.5) else 'known to '
-    return f'the {what} is {known}{sigma:.{digits}f} {unit}: more turns and changes of speed, or diagnose, would tell'
+    known = f'may be off by {value:.{digits}f} +- ' if left.certain(0.0, 0.5) else 'is known to '
+    return f'the {what} {known}{sigma:.{digits}f} {unit}: more turns and changes of speed, or diagnose, would tell'
 
 
 def where_text(change: Change) -> str:

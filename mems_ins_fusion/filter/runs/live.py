@@ -16,16 +16,15 @@ from ..advance import TAKEN
 from ..bank import Bank
 from ..config import FilterConfig
 from ..measurements import wheel_vibration
-from ..memory import Event, Head, Kind, Verdict, newest_row
+from ..memory import Event, Head, Kind, Verdict
 from ..start.alignment import STANDING_SIGMA, Alignment
 from ..start.course import start_covariance
 from ..start.initial import initialize, sensor_errors_of
 from ..start.start import DATUM_FIXES, Start, first_place
-from ..trust.force_noise import force_noise
 from ..trust.imu_faults import Fault, Imu
 from .horizon import HorizonPredictor
 from .intake import JUMPED, NOT_FINITE, remove_effects
-from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry, published_covariance, widen_without_heading
+from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry, widen_without_heading
 from .results import columns
 from .snapshot import from_snapshot, make_snapshot, saved_at_jump
 from .status import VERDICTS, FilterStatus
@@ -381,12 +380,13 @@ class FusionFilter(FilterStatus):
         kernel.run(memory, sample, event, self._before, self._answer.copy(), self._columns, self._none, self._states,
                    self._log)
         kernel.find_event(memory, 0)
-        published_covariance(newest_row(memory), self.config.layout)
-        force_noise(newest_row(memory), 0)
         filled = self.odometry.copy(), self.geodetic.copy(), self.position_covariance_enu.copy()
         odometry(memory, datum, 1.0, *filled)
         widen_without_heading(start, datum, *filled)
-        self._horizon.predict(memory)
+        self._memory, before = memory, self._memory
+        self.health()
+        self.snapshot()
+        self._memory = before
         follow = self._follow.copy()
         self.follow(np.array([0], dtype=np.int64), sample[:, 1:])
         self._follow[:] = follow

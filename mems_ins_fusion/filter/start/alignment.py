@@ -332,7 +332,7 @@ class Alignment:
         if course is None and self._magnetometer is not None:
             return self._start_from_field(positions)
         if course is None:
-            raise Refused('the vehicle to move straight on: the heading comes from the course of the fixes')
+            raise Refused('the vehicle to move straight on: its course shows the heading')
         return self._start(course.yaw, course.yaw_sigma, course.speed, course.speed_sigma, standstill,
                            'heading from the course')
 
@@ -343,9 +343,8 @@ class Alignment:
         found = find_magnetic_heading(self._samples, fields, standstill, self.config, self._magnetometer.name,
                                       self._saved.errors if self._saved else None)
         if found is None:
-            raise Refused('the vehicle to move straight on, or to turn: the heading comes from the course of the '
-                          f'fixes, or from {self.config.settings_of(self._magnetometer.number).topic} once the '
-                          'magnetic disturbance of the vehicle is known from turns')
+            topic = self.config.settings_of(self._magnetometer.number).topic
+            raise Refused(f'the vehicle to move straight on, or turns that show the iron which disturbs {topic}')
         speed, speed_sigma = 0.0, STANDING_SIGMA
         if not self._lasts(standstill):
             speed, speed_sigma = self._slow_speed(found.yaw + self._known_mounting, positions)
@@ -373,7 +372,7 @@ class Alignment:
         if abs(across) > max(CERTAIN * noise, abs(along)):
             raise Refused('a magnetic heading that agrees with the fixes, which move sideways to it')
         if math.hypot(*moved) > SLOW * interval + CERTAIN * noise:
-            raise Refused('the vehicle to move straight on: it is fast enough for the heading to come from the course')
+            raise Refused('the vehicle to move straight on: it is fast enough for its course to show the heading')
         return float(along / interval), math.hypot(noise / interval, CHANGED)
 
     def _start(self, yaw, yaw_sigma, speed, speed_sigma, standstill, source) -> Start:
