@@ -155,7 +155,7 @@ class FilterConfig:
     extras: tuple[Extra, ...]
     imu: ImuSettings
     gnss: GnssSettings
-    inputs: dict[int, Measurement]  # by number; those that the mechanization can use
+    inputs: dict[int, Measurement]  # by number
     sensors: dict[int, SensorSettings]  # of all inputs but the main receiver's fixes, by number
     alignment: AlignmentSettings
     vehicle: VehicleSettings
@@ -199,8 +199,7 @@ class FilterConfig:
             mechanization=mechanization, open_loop=values['feedback'] == 'open', models=_equal_order(models),
             white=white, turn_on_sigma=np.array(constant), conditioning=conditioning,
             offset=-conditioning @ sensors('bias'), extras=_extras(values, is_level), imu=_imu(values),
-            gnss=_gnss(values),
-            inputs={n: one for n, one in inputs(values).items() if not (is_level and one.needs_height)},
+            gnss=_gnss(values), inputs=inputs(values),
             sensors={measurement.number: measurement.settings(values) for measurement in aiding(values)},
             alignment=_alignment(values, is_level), vehicle=_vehicle(values),
             wheel_vibration=values['wheel_vibration'],
