@@ -23,7 +23,7 @@ from .trust.fix_drift import FixDrift
 from .trust.hypotheses import Hypothesis
 from .trust.scale import seen_of
 from .trust.standstill import take_speed
-from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
+from .update import begin_update, end_update, normalized_square, product, project, update
 
 #: fixes refused in a row that may all be wrong: no way of an input is compared with one that ends at them
 MOST_WRONG = 3.0
@@ -110,8 +110,8 @@ def _apply_input(mem, r, at, sample):
     if kind == Kind.TWIST:
         judged = 2 if twist.measures_sideways(mem, at) else 1
         inputs.leave_out_turn_rate(mem, r, at, n)
-    factor, gate = inputs.judge(mem, r, at, n, judged)
-    verdict = update(mem, r, at, n, dimensions, factor, ROBUST, gate)
+    factor, robust, gate = inputs.judge(mem, r, at, n, judged)
+    verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
     mem[at + Event.VERDICT] = verdict
     if inputs.makes_way(kind) and verdict == Verdict.REFUSED:
         if inputs.is_contradicted(mem, r, at, n):

@@ -77,7 +77,7 @@ def compare(memory):
         _begin(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0 and not refused:
             return
-    elif memory[Bank.DATED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
+    elif memory[Bank.DATED] == 0.0 and hypotheses.score(memory, r) - hypotheses.score(other, r) < SERIOUS:
         memory[Bank.DATED] = 1.0
         _date(memory, other, r, interval)
     if refused:
@@ -92,7 +92,7 @@ def compare(memory):
     if doubts and other[r + Hypothesis.FITS] != 0.0:  # it has to be near enough when the fixes are right
         least = memory[r + Hypothesis.SCORE] - hypotheses.most_behind(memory, time - memory[Bank.BEGUN])
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
-    lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
+    lead = hypotheses.score(memory, r) - hypotheses.score(other, r)
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
     if not doubts and lead > hypotheses.LOST or _same(memory, other, r):
         memory[Bank.OPEN] = share = 0.0
@@ -119,7 +119,7 @@ def _start_from_fixes(memory, other, r, interval):
     """The first filter, which has refused fixes in a row, takes them for wrong from now on; the second starts anew from
     the latest of them. interval: s, since the fix before it."""
     begun = memory[r + Nav.REFUSED_SINCE]
-    if memory[Bank.OPEN] == 0.0 or other[r + Hypothesis.SCORE] < memory[r + Hypothesis.SCORE]:
+    if memory[Bank.OPEN] == 0.0 or hypotheses.score(other, r) < hypotheses.score(memory, r):
         oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
         if _doubt(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
             return
@@ -141,7 +141,7 @@ def _start_from_fixes(memory, other, r, interval):
 def _is_better(memory, other, r):
     """Whether the second is to be the first: one that uses no fixes only where the first follows fixes that drift away.
     Who follows a receiver that is off by a constant is off by no more than that."""
-    ahead = other[r + Hypothesis.SCORE] - memory[r + Hypothesis.SCORE]
+    ahead = hypotheses.score(other, r) - hypotheses.score(memory, r)
     if other[r + Hypothesis.DOUBTS] == 0.0:
         return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)
     return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0 and memory[r + Nav.UNSETTLED] == 0.0
@@ -155,7 +155,7 @@ def _begin(memory, other, r, interval):
     fix before it."""
     if interval <= 0.0:  # fixes have been withdrawn, and those before them been compared already
         return
-    time, score = memory[r + Nav.FIX_TIME], memory[r + Hypothesis.SCORE]
+    time, score = memory[r + Nav.FIX_TIME], hypotheses.score(memory, r)
     prior = math.log(hypotheses.FIXES_WRONG * min(interval, hypotheses.LONGEST))
     if memory[r + Hypothesis.OTHERWISE] + prior < -hypotheses.LOST:
         return
@@ -166,7 +166,7 @@ def _begin(memory, other, r, interval):
 @njit(_nrt=False)
 def _date(memory, other, r, interval):
     """Let the doubts of `other` have begun earlier, where that has a better score."""
-    best, latest, since = other[r + Hypothesis.SCORE], memory[Bank.BEGUN], 0.0
+    best, latest, since = hypotheses.score(other, r), memory[Bank.BEGUN], 0.0
     for back in BACK:
         score = _doubt(memory, other, latest - back, interval)
         if score > best:
@@ -215,7 +215,7 @@ def _doubt(memory, other, since, interval):
     hypotheses.doubt(other, state_at(memory, k), interval)
     for j in range(k + 1, newest + 1):
         advance(other, j)
-    return other[state_at(memory, newest) + Hypothesis.SCORE]
+    return hypotheses.score(other, state_at(memory, newest))
 
 
 @njit(_nrt=False)
