@@ -152,12 +152,13 @@ def learn(mem, own, way, fixes, drift, noise):
     together += gone * variance
     # the distance as estimated, less the one measured at the fix before, is in GAP
     surprise = way - fixes - share * gone - complex(mem[own + Seen.GAP], mem[own + Seen.GAP + 1])
-    if abs(surprise) ** 2 > SURPRISE**2 * (gap + noise):
+    # before the share is known the prior may be far too narrow
+    if mem[own + Seen.COMPARED] > 0.0 and abs(surprise) ** 2 > SURPRISE**2 * (gap + noise):
         mem[own + Seen.SURPRISED] += 1.0
         if mem[own + Seen.SURPRISED] < 2.0:
             return False
         # one that was wrong is so until it is known to be right
-        wrong = mem[own + Seen.COMPARED] < 0.0 or _is_certain(mem, own, abs(share), TOLERATED)
+        wrong = _is_certain(mem, own, abs(share), TOLERATED)
         mem[own + Seen.COMPARED], mem[own + Seen.KNOWN] = -1.0 if wrong else 0.0, 0.0
         _begin(mem, own, noise)
         return True
