@@ -435,10 +435,12 @@ def compared(ways, mem=None):
     if mem is None:
         mem = np.zeros(Seen.SIZE)
         way._begin(mem, 0, 1.0)
-    left = 0.0
+    since = np.zeros(2)  # the latest fix that has been compared, by the input and by the fixes
     for one in ways:
-        mem[Seen.GONE] = 10.0 + left  # since the latest fix that has been compared
-        left = 0.0 if way.learn(mem, 0, complex(one + left), complex(10.0 + left), 0.0, 1.0) else 10.0 + left
+        since += one, 10.0
+        mem[Seen.GONE] = since[1]
+        if way.learn(mem, 0, complex(since[0]), complex(since[1]), 0.0, 1.0):
+            since[:] = 0.0
     return mem
 
 

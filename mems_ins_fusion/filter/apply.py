@@ -114,7 +114,7 @@ def _apply_input(mem, r, at, sample):
     verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
     mem[at + Event.VERDICT] = verdict
     if inputs.makes_way(kind) and verdict == Verdict.REFUSED:
-        if inputs.is_contradicted(mem, r, at, n):
+        if inputs.is_contradicted(mem, r, at):
             mem[at + Event.VERDICT] = Verdict.CONTRADICTED
         elif not way.is_compared(mem, seen_of(mem, r, at)):
             mem[at + Event.VERDICT] = Verdict.AWAITED

@@ -47,6 +47,9 @@ LARGEST_HEADING_NOISE = 0.05
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
 LONGEST_JUMP = 60.0
+#: s for which the ways of an input that was wrong have to be right before it is used again: on a straight street other
+#: axes may fit, too
+RIGHT_AGAIN = 20.0
 #: s without a fix after which the fixes no longer confirm the velocity
 NO_FIX = 10.0
 
@@ -71,10 +74,11 @@ def judge(mem, r, at, n, dimensions):
     h, own = p + n * n, seen_of(mem, r, at)
     time = mem[at + Event.TIME]
     of_velocity = is_of_velocity(kind)
-    if is_contradicted(mem, r, at, n):
+    if _is_off(mem, r, at, n):
         if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
-            mem[own + Seen.FITTED] = 0.0
             contradiction.let_fixes_decide(mem, r)
+        mem[own + Seen.FITTED] = -time
+    if is_contradicted(mem, r, at):
         return 1.0, ROBUST, NEVER
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
@@ -120,7 +124,7 @@ def judge(mem, r, at, n, dimensions):
         slips = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < longest
         if squared < ROBUST * ROBUST * expected:
             mem[own + Seen.FITTED] = time
-        if of_velocity and slips and squared > far * far * expected:
+        if of_velocity and kind != Kind.VELOCITY and slips and squared > far * far * expected:
             way.interrupt(mem, own)
         if confirmed or slips:
             return density * factor, robust, far * math.sqrt(expected / (variance + density * factor * claimed))
@@ -178,7 +182,14 @@ def _constant_error(mem, at):
 
 
 @njit(_nrt=False)
-def is_contradicted(mem, r, at, n):
+def is_contradicted(mem, r, at):
+    """Whether the ways of the input of the record at `at` are certainly not those of the fixes, or were not lately."""
+    fitted = mem[seen_of(mem, r, at) + Seen.FITTED]
+    return makes_way(int(mem[at + Event.KIND])) and fitted < 0.0 and mem[at + Event.TIME] + fitted < RIGHT_AGAIN
+
+
+@njit(_nrt=False)
+def _is_off(mem, r, at, n):
     """Whether the ways of the input of the record at `at` are certainly not those of the fixes, and by more than its
     constant error, as estimated, may still be off; P is in the scratch."""
     if not makes_way(int(mem[at + Event.KIND])):

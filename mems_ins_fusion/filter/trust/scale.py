@@ -64,7 +64,7 @@ class _Seen(NamedTuple):
     KNOWN: int = 22  # and how much of `way.PRIOR` its variance has lost,
     COMPARED: int = 23  # 1: enough of it at some time, -1: no more, and it was wrong
     SURPRISED: int = 24  # fixes in a row that were too far off for it
-    FITTED: int = 25  # time, s, of the latest one that fitted; negative: of the latest that was where no fix is
+    FITTED: int = 25  # time, s, of the latest one that fitted; negative: of the latest that fixes contradict
     LATEST: int = 26  # two values of the latest message, see trust/repeats.py,
     SAID: int = 28  # time of it, s,
     GAINED: int = 29  # by how much the state has changed since it says that, between messages, m/s or rad,

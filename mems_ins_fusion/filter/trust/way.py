@@ -22,8 +22,8 @@ from ..measurements.base import UNDECLARED_OFFSET
 from ..memory import INPUT_SIZE, Event, Head, Kind, Nav, is_of_heading, nonnegative
 from .scale import KINDS, Inputs, Kinds, Seen
 
-#: variance of the share before any fix is compared: a speed is off by a fifth
-PRIOR = 0.04
+#: variance of the share before any fix is compared: a speed in another unit, or of the wrong sign
+PRIOR = 1.0
 #: 1/m, by which it grows with the way: on another ground wheels slip by other shares, six percent in a kilometre
 WANDERS = 4e-6
 #: of a way within a second, one sigma: bends between samples, a heading that is a degree off
@@ -152,8 +152,7 @@ def learn(mem, own, way, fixes, drift, noise):
     together += gone * variance
     # the distance as estimated, less the one measured at the fix before, is in GAP
     surprise = way - fixes - share * gone - complex(mem[own + Seen.GAP], mem[own + Seen.GAP + 1])
-    # before the share is known the prior may be far too narrow
-    if mem[own + Seen.COMPARED] > 0.0 and abs(surprise) ** 2 > SURPRISE**2 * (gap + noise):
+    if abs(surprise) ** 2 > SURPRISE**2 * (gap + noise):
         mem[own + Seen.SURPRISED] += 1.0
         if mem[own + Seen.SURPRISED] < 2.0:
             return False
