@@ -25,6 +25,7 @@ from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements.registry import aiding as inputs
+from mems_ins_fusion.filter.runs.imus import as_one
 from mems_ins_fusion.filter.runs.replay import Aiding, run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Recording
@@ -340,6 +341,7 @@ class Outcome:
 
 def outcome(recording: Recording, truth, values: dict, begin: float, filtered: Callable = run) -> Outcome:
     """What `filtered`, called as `replay.run`, makes of the recording, in which a fault begins at `begin` s."""
+    recording, _ = as_one(recording, values)
     there = recording.streams()
     aiding = Aiding({one.name: there[one.name] for one in inputs(values) if values[one.topic]})
     result = filtered(FilterConfig.from_parameters(values), recording.imu, recording.gnss, aiding)

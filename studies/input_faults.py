@@ -2,10 +2,10 @@
 
     python studies/input_faults.py [--seeds 6] [--rate 1] [--only TEXT,TEXT] [--set NAME=VALUE ...] [--output FILE.md]
 
-The drives of faults.py with one input more: speed, velocity, odometry, heading, pressure, magnetometer or a second
-receiver 1.6 m behind the first. The fault lasts for a minute from 200 s on. Each row twice: with fixes all the time,
-and without any in the second half of that minute. *without it*: the same filter that does not have the input while
-the fault lasts. The other columns are those of faults.py.
+The drives of faults.py with one input more: speed, velocity, odometry, poses of a lidar, heading, pressure,
+magnetometer, a second receiver 1.6 m behind the first or a second IMU. The fault lasts for a minute from 200 s on. Each
+row twice: with fixes all the time, and without any in the second half of that minute. *without it*: the same filter
+that does not have the input while the fault lasts. The other columns are those of faults.py.
 
 missing: nothing comes. late: stamps of half a second later. doubled: each message twice. dead: it stays at the value it
 has as the fault begins. wrong: WRONG below.
@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from faults import BEGIN, METRE, MINUTES, Fault, judged, row
+from several_imus import SECOND, with_two_imus
 from vehicle import drive_of, sensors
 
 from mems_ins_fusion.filter.measurements.registry import aiding
@@ -32,10 +33,11 @@ from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, simulate_re
 DURATION = 60.0
 WITHOUT_FIXES = 30.0, 60.0  # s of the fault
 REAR = {'inputs': ['rear'], 'rear.type': 'fix', 'rear.topic': '/rear', 'rear.lever_arm': [-1.6, 0.0, 0.0]}
+LIDAR = {'inputs': ['lidar'], 'lidar.type': 'pose', 'lidar.topic': '/lidar/odometry'}
 #: parameters of each input
 INPUTS = {**{name: {f'{name}_topic': f'/{name}'} for name in ('speed', 'velocity', 'twist', 'heading', 'pressure',
                                                                    'magnetometer')},
-          'rear': REAR}
+          'lidar': LIDAR, 'rear': REAR, 'second': SECOND}
 #: in words, and what it does to samples
 WRONG: dict[str, tuple[str, Callable]] = {
     'speed': ('in km/h', lambda s: replace(s, speed=3.6 * s.speed)),
@@ -44,11 +46,14 @@ WRONG: dict[str, tuple[str, Callable]] = {
     'heading': ('90 deg off', lambda s: replace(s, yaw=s.yaw + 0.5 * np.pi)),
     'pressure': ('5 hPa off', lambda s: replace(s, pressure=s.pressure + 500.0)),
     'magnetometer': ('beside a magnet of 30 uT', lambda s: replace(s, field=s.field + [3e-5, 3e-5, 0.0])),
+    'lidar': ('turned by 90 deg', lambda s: replace(s, twist=s.twist[:, [1, 0, 2]] * [1.0, -1.0, 1.0])),
+    'second': ('axes x and y exchanged', lambda s: replace(s, specific_force=s.specific_force[:, [1, 0, 2]],
+                                                           angular_rate=s.angular_rate[:, [1, 0, 2]])),
     'rear': ('30 m off', lambda s: replace(s, latitude=s.latitude + 30.0 * METRE)),
 }
 #: which arrays of its samples an input measures
 _VALUES = {'rear': ('latitude', 'longitude', 'height'), 'heading': ('yaw',),
-           'magnetometer': ('field',)}
+           'magnetometer': ('field',), 'lidar': ('twist',), 'second': ('specific_force', 'angular_rate')}
 
 
 @cache
@@ -56,17 +61,19 @@ def clean(seed: int, rate: float) -> Recording:
     """A realistic drive with all inputs."""
     aided = Aiding(speed_rate=10.0, velocity_rate=rate, twist_rate=20.0, heading_rate=5.0, pressure_rate=10.0,
                    magnetometer_rate=20.0, fix_rate=rate, fix_sigma=1.5)
-    named = [one for one in aiding(table.check(REAR)) if not one.is_plain]
+    named = [one for values in (REAR, LIDAR) for one in aiding(table.check(values)) if not one.is_plain]
     recording = simulate_recording(drive_of(seed, MINUTES), sensors(), GnssNoise(1.5, rate=rate), seed=seed,
                                    **{**REALISTIC.distortions(seed), 'aiding': aided, 'named': named}).recording
-    return replace(recording, reference=recording.reference.select(slice(None, None, 10)))
+    second = with_two_imus(seed, MINUTES).others['second']
+    return replace(recording.having({'second': second}), reference=recording.reference.select(slice(None, None, 10)))
+
 
 
 def _dead(name, samples, inside):
     first, found = np.flatnonzero(inside)[0], {}
     for part in _VALUES.get(name, (name,)):
         values = getattr(samples, part).copy()
-        values[inside] = values[first]
+        values[inside] = 0.0 if name == 'lidar' else values[first]  # poses that stay are no displacement
         found[part] = values
     return replace(samples, **found)
 

@@ -248,24 +248,31 @@ def test_it_is_used_again_when_its_ways_fit():
 
 
 def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
-    # given ways that are 4 % too long, each known to a tenth, by the scalar equations written down
-    mem, mean, variance = np.zeros(Seen.SIZE), 0.0, way.PRIOR
+    # given ways that are 4 % too long and turned by 0.1 rad, in all directions, and the real equations written down
+    rng, mem = np.random.default_rng(1), np.zeros(Seen.SIZE)
+    way._begin(mem, 0, 2.0)
+    x, p = np.zeros(4), np.diag([2.0, 2.0, way.PRIOR, way.PRIOR])  # distance north and east, share
+    h, last = np.eye(2, 4), np.zeros(2)
+    off = -rng.normal(0.0, np.sqrt(2.0), 2)  # true distance, where the one at the first fix is measured as zero
     for k in range(60):
-        noise = 0.01
-        way._learn(mem, 0, 0.04 + 0.05 * (-1) ** k, noise)
-        variance = min(variance + way.FORGOTTEN * noise, way.PRIOR)
-        gain = variance / (variance + noise)
-        mean += gain * (0.04 + 0.05 * (-1) ** k - mean)
-        variance *= 1.0 - gain
-    assert mem[Seen.MORE] == pytest.approx(mean)
-    assert way.PRIOR - mem[Seen.KNOWN] == pytest.approx(variance)
-    assert not way.is_contradicted(mem, 0)
-    # a gain that remembers some ten ways, and twice the way is certain after two of them
-    assert 0.1 < gain < 0.4
-    mem[:] = 0.0
-    for k in range(2):
-        way._learn(mem, 0, 0.5, 0.01)
-    assert way.is_contradicted(mem, 0)
+        gone = 8.0 * np.exp(0.1j * k)
+        way_of_input = (1.04 + 0.1j) * gone
+        off = off + [(way_of_input - gone).real, (way_of_input - gone).imag]
+        measured = off + rng.normal(0.0, np.sqrt(2.0), 2)
+        mem[Seen.GONE:Seen.GONE + 2] = gone.real, gone.imag
+        assert way.learn(mem, 0, way_of_input, way_of_input - complex(*(measured - last)), 0.05, 2.0)
+        last = measured
+        f = np.eye(4)
+        f[:2, 2:] = [[gone.real, -gone.imag], [gone.imag, gone.real]]
+        wandered = p.copy()
+        wandered[[2, 3], [2, 3]] = np.minimum(wandered[[2, 3], [2, 3]] + way.WANDERS * 8.0, way.PRIOR)
+        x, p = f @ x, f @ wandered @ f.T + np.diag([0.05, 0.05, 0.0, 0.0])
+        gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + 2.0 * np.eye(2))
+        x, p = x + gain @ (measured - h @ x), p - gain @ h @ p
+        np.testing.assert_allclose(mem[Seen.SHARE:Seen.SHARE + 2], x[2:], atol=1e-9)
+        np.testing.assert_allclose([mem[Seen.GAP_VARIANCE], way.PRIOR - mem[Seen.KNOWN]], p[[0, 2], [0, 2]])
+    assert way.is_compared(mem, 0)
+    np.testing.assert_allclose(mem[Seen.SHARE:Seen.SHARE + 2], [0.04, 0.1], atol=4.0 * np.sqrt(p[2, 2]))
 
 
 @pytest.mark.parametrize('down', [np.nan, 0.0])
@@ -410,34 +417,46 @@ def off_without_fixes(recording, measured, begin=90.0, duration=60.0):
                           measured, begin)[0].max()
 
 
-def test_the_direction_of_a_heading_is_compared_and_the_length_of_a_speed():
-    mem, variance = np.zeros(Seen.SIZE), 0.01
-    for compared_in, way_of_input, expected in (
-            (way.ALONG, (110.0, 0.0), 10.0 / 110.0), (way.ALONG, (-50.0, 0.0), -1.5), (way.ALONG, (100.0, 10.0), 0.0),
-            (way.LENGTH, (0.0, 110.0), 10.0 / 110.0), (way.DIRECTION, (100.0, 10.0), np.arctan(0.1)),
-            (way.DIRECTION, (-100.0, -1.0), np.pi - 0.01), (way.DIRECTION, (-100.0, 1.0), np.pi - 0.01)):
-        mem[Seen.COMPARED_IN] = compared_in
-        more, sigma = way._differs(mem, 0, 100.0, 0.0, *way_of_input, variance)
-        assert more == pytest.approx(expected, abs=2e-3), (compared_in, way_of_input)
-        assert sigma == pytest.approx(0.001, rel=0.15)
-
-
-def test_one_way_that_is_far_off_is_a_fix_and_two_that_are_off_alike_are_another_speed():
+@pytest.mark.parametrize(('kind', 'ratio', 'off'), [
+    (Kind.SPEED, 1.1, 0.1), (Kind.SPEED, -1.0, 2.0), (Kind.SPEED, 1.0 + 0.3j, 0.0), (Kind.TWIST, 0.0, 1.0),
+    (Kind.VELOCITY, 0.8j, np.hypot(1.0, 0.8)), (Kind.HEADING, np.exp(0.2j), 0.2), (Kind.HEADING, -1.0, np.pi),
+    (Kind.HEADING, -np.exp(0.01j), np.pi - 0.01), (Kind.MAGNETIC, 1.5, 0.0)])
+def test_the_direction_of_a_heading_is_compared_and_the_length_of_a_speed(kind, ratio, off):
+    # given a way that is so many times the one of the fixes, and turned; with a sigma of nearly nothing
     mem = np.zeros(Seen.SIZE)
-    for _ in range(20):
-        way._learn(mem, 0, 0.0, 5e-4)
-    before = mem.copy()
-    # when a fix is far off, one way is longer and the next one shorter
-    way._learn(mem, 0, 0.4, 5e-4)
-    assert 0.0 < mem[Seen.MORE] < 0.1 and not way.is_contradicted(mem, 0)
-    way._learn(mem, 0, -0.4, 5e-4)
-    assert abs(mem[Seen.MORE]) < 0.1 and not way.is_contradicted(mem, 0)
-    # when both are longer
-    mem[:] = before
-    way._learn(mem, 0, 0.4, 5e-4)
-    way._learn(mem, 0, 0.4, 5e-4)
-    assert mem[Seen.MORE] == pytest.approx(0.4, abs=0.01) and way.is_contradicted(mem, 0)
-    # and right again
-    way._learn(mem, 0, 0.0, 5e-4)
-    way._learn(mem, 0, 0.0, 5e-4)
-    assert not way.is_contradicted(mem, 0)
+    mem[Seen.SHARE:Seen.SHARE + 2] = np.real(ratio) - 1.0, np.imag(ratio)
+    mem[Seen.KNOWN] = way.PRIOR - 1e-12
+    assert off == 0.0 or way.is_contradicted(mem, 0, kind, off - 0.01)
+    assert not way.is_contradicted(mem, 0, kind, off + 0.01)
+
+
+def compared(ways, mem=None):
+    """What is seen of an input with such ways while the vehicle goes 10 m north each second; fixes of 1 m^2."""
+    if mem is None:
+        mem = np.zeros(Seen.SIZE)
+        way._begin(mem, 0, 1.0)
+    since = np.zeros(2)  # the latest fix that has been compared, by the input and by the fixes
+    for one in ways:
+        since += one, 10.0
+        mem[Seen.GONE] = since[1]
+        if way.learn(mem, 0, complex(since[0]), complex(since[1]), 0.0, 1.0):
+            since[:] = 0.0
+    return mem
+
+
+def test_one_fix_that_is_far_off_is_passed_over_and_two_are_another_speed():
+    right = compared([10.0] * 30)
+    # given a fix that is 30 m off, after which the next one is right again
+    mem = compared([40.0, -20.0, 10.0], right.copy())
+    np.testing.assert_allclose(mem[Seen.SHARE], 0.0, atol=1e-3)
+    assert way.is_compared(mem, 0) and mem[Seen.KNOWN] > 0.9 * way.PRIOR
+    # given a unit that changes
+    mem = compared([36.0, 36.0], right.copy())
+    assert not way.is_compared(mem, 0)
+    compared([36.0] * 6, mem)
+    assert way.is_compared(mem, 0) and way.is_contradicted(mem, 0, Kind.SPEED, 0.05)
+    # when it is the right one again, it is refused until that is known
+    compared([10.0, 10.0], mem)
+    assert way.is_contradicted(mem, 0, Kind.SPEED, 0.05) and mem[Seen.KNOWN] == 0.0
+    compared([10.0] * 12, mem)
+    assert way.is_compared(mem, 0) and not way.is_contradicted(mem, 0, Kind.SPEED, 0.05)

@@ -10,6 +10,8 @@ from live_support import lived, same_bits
 from mems_ins_fusion.cli.simulate import main as simulate
 from mems_ins_fusion.diagnosis.gathering import Gathering, chunks
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.evaluation.comparison import truth_of
+from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements.registry import FIRST_NAMED, aiding
 from mems_ins_fusion.filter.memory import NAV, Event, Head, Verdict, state_at
@@ -193,6 +195,23 @@ def test_a_receiver_that_fixes_contradict_stays_refused_when_they_end():
     without = through(values, recording.having({'rear': rear.select(time < 60.0)}))
     there = result.stamp < recording.imu.stamp[0] + 115 * 10**9
     assert np.abs(result.latitude - without.latitude)[there].max() * 6.37e6 < 0.01
+
+
+@pytest.mark.parametrize('until', [120.0, 1e9])
+def test_a_main_receiver_that_jumps_beside_a_right_one_is_not_followed(until):
+    # given a main receiver that is 30 m off from 60 s on, for a minute or to the end
+    values = given(**REAR, reference_lever_arm=[0.0, 0.0, 0.0])
+    recording = recorded(values, duration=200.0)
+    fixes = recording.gnss
+    time = (fixes.stamp - recording.imu.stamp[0]) * 1e-9
+    off = np.where((time >= 60.0) & (time < until), 30.0, 0.0) / 6.37e6
+    result = through(values, replace(recording, gnss=replace(fixes, latitude=fixes.latitude + off)))
+    # then the filter goes on with the other one, long after gnss.recovery_time
+    truth = truth_of(recording, values)
+    errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
+    settled = errors.stamp > recording.imu.stamp[0] + 20e9
+    assert errors.horizontal[settled].max() < 1.0
+    assert np.mean(errors.nees[settled] < NEES_95) > 0.9
 
 
 def test_an_outage_withholds_the_second_receiver_too():

@@ -233,10 +233,12 @@ def test_the_tool_writes_what_the_library_simulates(tmp_path, storage, capsys):
     status = simulate.main(['--output', str(bag), '--duration', '60', '--seed', '5', '--storage', storage, '--hills',
                             '--gnss-rate', '5', '--gnss-sigma', '0', '--params-file', str(params),
                             '--effect', 'gyroscope_scale=0.02', '--effect', 'gnss_lever_arm.y=0.25',
-                            '--effect', 'temperature=0', '--outage', '30:40'])
+                            '--effect', 'temperature=0', '--outage', '30:40', '--aiding', '--input-rate', '50'])
     # then
     assert status == 0 and 'gyroscope_scale z=0.02' in capsys.readouterr().out
-    read = read_recording(bag, '/imu/data', '/gps/fix', '/reference/fix', '/imu/temperature')
+    read = read_recording(bag, '/imu/data', '/gps/fix', '/reference/fix', '/imu/temperature',
+                          speed_topic='/wheel/speed', velocity_topic='/gps/velocity')
+    assert abs(len(read.speed) - 3000) <= 1 and abs(len(read.velocity) - 300) <= 1
     drive = simulate_drive(60.0, 5, hills=True)
     noise = 4.5 * 0.001 * np.sqrt(100)
     slow = SensorErrors.from_parameters(table.defaults(), 'random_walk').gyroscope[2]
@@ -281,6 +283,7 @@ def test_an_existing_bag_is_kept_unless_told_otherwise(tmp_path, capsys):
     (['--duration', 'inf'], '--duration must be from 0.1'),
     (['--standstill', '-1'], 'standstill'),
     (['--gnss-rate', '0'], '--gnss-rate must be from'),
+    (['--input-rate', '0'], '--input-rate must be from'),
     (['--reference-rate', '0'], '--reference-rate must be from'),
     (['--outage', '10-20'], 'START:STOP'),
     (['--outage', '0:100'], 'no fix'),

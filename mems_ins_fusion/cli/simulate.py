@@ -17,8 +17,8 @@ from mems_ins_fusion.parameters import params_file, table
 
 #: what options may be: lowest, highest, unit
 _RANGES = {'duration': (0.1, 1e7, ' s'), 'rate': (1.0, 1e4, ' Hz'), 'gnss_rate': (1e-4, 1e3, ' Hz'),
-           'gnss_sigma': (0.0, 1e3, ' m'), 'gnss_latency': (0.0, 60.0, ' s'), 'reference_rate': (1e-3, 1e4, ' Hz'),
-           'standstill': (0.0, 1e7, ' s'), 'seed': (0, 2**63 - 1, '')}
+           'input_rate': (0.01, 1e3, ' Hz'), 'gnss_sigma': (0.0, 1e3, ' m'), 'gnss_latency': (0.0, 60.0, ' s'),
+           'reference_rate': (1e-3, 1e4, ' Hz'), 'standstill': (0.0, 1e7, ' s'), 'seed': (0, 2**63 - 1, '')}
 #: GB at the start, bytes for each sample
 _MEMORY = 0.3, 450.0
 
@@ -65,7 +65,8 @@ def simulate(options: argparse.Namespace) -> str:
                      coloured_sigma=options.gnss_coloured, outliers=options.gnss_outliers,
                      smoothing=options.gnss_smoothing, dropouts=options.gnss_dropouts)
     Memory(values['memory_limit'], *_MEMORY).check(f'--duration {options.duration:g} at --rate {options.rate:g}',
-                                                   round(options.duration * max(options.rate, options.gnss_rate)))
+                                                   round(options.duration * max(options.rate, options.gnss_rate,
+                                                                                options.input_rate)))
     check_free(options.output, options.overwrite, 'metadata.yaml')
     drive = scene.drive(options.duration, options.seed, options.rate, hills=options.hills,
                         standstill=options.duration if options.static else options.standstill)
@@ -106,7 +107,7 @@ def _aiding(scene, options, values, gnss_sigma):
     from mems_ins_fusion.filter.measurements.registry import AIDING
     from mems_ins_fusion.simulation.simulation import Aiding
 
-    rates = {f'{m.name}_rate': options.gnss_rate if m.from_satellites else 10.0
+    rates = {f'{m.name}_rate': options.gnss_rate if m.from_satellites else options.input_rate
              for m in AIDING if m.simulated_with and (options.aiding or values[m.topic])}
     return Aiding(**{**(scene.aiding or {}), **rates, 'fix_rate': options.gnss_rate, 'fix_sigma': gnss_sigma})
 
@@ -188,6 +189,8 @@ def _parser():
     add('--seed', type=int, default=0, help='the same seed gives the same recording (default %(default)s)')
     add('--rate', type=float, default=100.0, metavar='HZ', help='of the IMU (default %(default)g)')
     add('--gnss-rate', type=float, default=1.0, metavar='HZ', help='of the fixes (default %(default)g)')
+    add('--input-rate', type=float, default=10.0, metavar='HZ', help='of wheels, odometry, heading, pressure and '
+        'magnetic field, of the inputs without a name (default %(default)g)')
     add('--gnss-sigma', type=float, metavar='M', help='white noise, north and east (default: gnss.sigma of the params '
         'file, else 1.5)')
     add('--gnss-latency', type=float, default=0.0, metavar='S', help='from the stamp of a fix to its arrival')

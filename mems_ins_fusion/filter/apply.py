@@ -24,7 +24,7 @@ from .trust.hypotheses import Hypothesis
 from .trust.receiver import Receiver
 from .trust.scale import seen_of
 from .trust.standstill import take_speed
-from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
+from .update import begin_update, end_update, normalized_square, product, project, update
 
 #: number of fixes. Up to this many refused in a row are taken for outliers: they are not used as the end of a
 #: displacement with which an input is compared (`trust/way.py`). After more of them the filter may be the one that is
@@ -120,11 +120,11 @@ def _apply_input(mem, r, at, sample):
     if kind == Kind.TWIST:
         judged = 2 if twist.measures_sideways(mem, at) else 1
         inputs.leave_out_turn_rate(mem, r, at, n)
-    factor, gate = inputs.judge(mem, r, at, n, judged)
-    verdict = update(mem, r, at, n, dimensions, factor, ROBUST, gate, ROBUST)
+    factor, robust, gate = inputs.judge(mem, r, at, n, judged)
+    verdict = update(mem, r, at, n, dimensions, factor, robust, gate, robust)
     mem[at + Event.VERDICT] = verdict
     if inputs.makes_way(kind) and verdict == Verdict.REFUSED:
-        if inputs.is_contradicted(mem, r, at, n):
+        if inputs.is_contradicted(mem, r, at):
             mem[at + Event.VERDICT] = Verdict.CONTRADICTED
         elif not way.is_compared(mem, seen_of(mem, r, at)):
             mem[at + Event.VERDICT] = Verdict.AWAITED

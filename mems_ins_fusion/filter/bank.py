@@ -88,7 +88,7 @@ def compare(memory):
         _begin(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0 and not refused:
             return
-    elif memory[Bank.SEARCHED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
+    elif memory[Bank.SEARCHED] == 0.0 and hypotheses.score(memory, r) - hypotheses.score(other, r) < SERIOUS:
         memory[Bank.SEARCHED] = 1.0
         _search_begin(memory, other, r, interval)
     if refused:
@@ -109,7 +109,7 @@ def compare(memory):
     if doubts and other[r + Hypothesis.FITS] != 0.0:  # it must not lose while it may still turn out to be right
         least = memory[r + Hypothesis.SCORE] - hypotheses.most_behind(memory, time - memory[Bank.BEGUN])
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
-    lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
+    lead = hypotheses.score(memory, r) - hypotheses.score(other, r)
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
     if not doubts and lead > hypotheses.LOST or _agree(memory, other, r):
         memory[Bank.OPEN] = share = 0.0
@@ -136,7 +136,7 @@ def _start_from_fixes(memory, other, r, interval):
     """The first filter, which has refused several fixes in a row, assumes from now on that these are wrong; the second
     starts anew from the latest of them. interval: s between the latest fix and the one before."""
     begun = memory[r + Nav.REFUSED_SINCE]
-    if memory[Bank.OPEN] == 0.0 or other[r + Hypothesis.SCORE] < memory[r + Hypothesis.SCORE]:
+    if memory[Bank.OPEN] == 0.0 or hypotheses.score(other, r) < hypotheses.score(memory, r):
         oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
         if _refuse_since(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
             return
@@ -161,7 +161,7 @@ def _is_better(memory, other, r):
     A second filter that uses no fixes is published only where the first one follows fixes that drift away. A receiver
     with a constant error is followed: its error bounds that of the filter.
     """
-    ahead = other[r + Hypothesis.SCORE] - memory[r + Hypothesis.SCORE]
+    ahead = hypotheses.score(other, r) - hypotheses.score(memory, r)
     if other[r + Hypothesis.DOUBTS] == 0.0:
         return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)
     return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0 and memory[r + Nav.UNSETTLED] == 0.0
@@ -175,7 +175,7 @@ def _begin(memory, other, r, interval):
     the latest fix and the one before."""
     if interval <= 0.0:  # fixes have been withdrawn, and this one has been compared before
         return
-    time, score = memory[r + Nav.FIX_TIME], memory[r + Hypothesis.SCORE]
+    time, score = memory[r + Nav.FIX_TIME], hypotheses.score(memory, r)
     prior = math.log(hypotheses.FIXES_WRONG * min(interval, hypotheses.LONGEST))
     if memory[r + Hypothesis.OTHERWISE] + prior < -hypotheses.LOST:
         return
@@ -186,7 +186,7 @@ def _begin(memory, other, r, interval):
 @njit(_nrt=False)
 def _search_begin(memory, other, r, interval):
     """Let `other` refuse the fixes from an earlier time on, where its score is better then."""
-    best, latest, since = other[r + Hypothesis.SCORE], memory[Bank.BEGUN], 0.0
+    best, latest, since = hypotheses.score(other, r), memory[Bank.BEGUN], 0.0
     for back in BACK:
         score = _refuse_since(memory, other, latest - back, interval)
         if score > best:
@@ -236,7 +236,7 @@ def _refuse_since(memory, other, since, interval):
     hypotheses.doubt(other, state_at(memory, k), interval)
     for j in range(k + 1, newest + 1):
         advance(other, j)
-    return other[state_at(memory, newest) + Hypothesis.SCORE]
+    return hypotheses.score(other, state_at(memory, newest))
 
 
 @njit(_nrt=False)

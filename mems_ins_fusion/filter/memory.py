@@ -86,7 +86,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
     RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
     RECOVERIES: int = column()  # restarts from fixes that had been refused
-    MECHANISMS: int = column(205)  # room for the columns that other files declare (`ROW`)
+    MECHANISMS: int = column(206)  # room for the columns that other files declare (`ROW`)
     SIZE: int = column(0)
 
 
@@ -181,7 +181,7 @@ def packed(i, j, size):
     return i * size - i * (i - 1) // 2 + j - i
 
 
-INPUT_SIZE = 32  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
+INPUT_SIZE = 39  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
 
 
 def row_width(layout: StateLayout) -> int:

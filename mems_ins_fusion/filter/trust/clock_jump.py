@@ -27,8 +27,9 @@ FOLLOWED = 10.0
 CERTAIN = 3.0
 #: s, and it has jumped by so much: less is the slip of tyres and the pitch of a body that accelerates
 SMALLEST = 0.05
-#: s, and by no more: what is further off has another fault, and would pass for one of that
-LARGEST = 0.5
+#: s, beside the parameter: what is further off then has another fault, as wheels that slip, and would pass for one of
+#: that; half a second, and a sigma of what nobody declares
+LARGEST = 0.6
 
 
 @njit(_nrt=False)
@@ -58,7 +59,10 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
     mem[own + Seen.LATER], mem[own + Seen.TELLS] = score, information
     if abs(score) < max(CERTAIN * math.sqrt(information), SMALLEST * information) or information == 0.0:
         return False
-    mem[p + (n + 1) * state] += min((score / information) ** 2, LARGEST**2)
+    jump = score / information
+    if abs(mem[r + NAV + state] + jump) > LARGEST:
+        return False
+    mem[p + (n + 1) * state] += jump**2
     mem[own + Seen.LATER] = mem[own + Seen.TELLS] = 0.0
     reopen(mem, own, 1.0)  # what seemed to be noise may have been that
     return True

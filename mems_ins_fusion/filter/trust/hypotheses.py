@@ -27,7 +27,8 @@ from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_state
 #: of a state
 Hypothesis = ROW.place(
     'Hypothesis',
-    SCORE=1,  # nats: logarithm of the likelihood of all fixes and of the prior of what the filter says
+    SCORE=1,  # nats: logarithm of the likelihood of all fixes and of the prior of what the filter says,
+    BESIDE=1,  # and of the likelihood of all fixes of further receivers
     OTHERWISE=1,  # nats, by which the latest fix is more likely if the receiver is anywhere off
     DOUBTS=1,  # 1: the fixes since some time are wrong; then
     OFFSET=2,  # m, north and east, predicted minus measured: by what they are off,
@@ -102,6 +103,26 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
     if again > still:
         mem[r + Hypothesis.DOUBTS] = 0.0
     return again > still
+
+
+@njit(_nrt=False)
+def judge_further(mem, r, squared, variance, interval):
+    """A fix of a further receiver, `interval` s after the one before it, as evidence for the state at r.
+
+    squared: mean square of its innovation, expected to be variance, m^2: so a main receiver that jumps alone is wrong.
+    """
+    late = UNDECLARED_OFFSET**2 * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
+    variance += 0.5 * late
+    right = math.exp(-min(squared / variance, 1000.0)) / variance
+    anywhere = 1.0 / (RANGE * (2.0 * squared + 4.0 * variance))
+    likelihood = ((1.0 - OUTLIERS) * right + OUTLIERS * anywhere) / (2.0 * math.pi)
+    mem[r + Hypothesis.BESIDE] += min(max(interval, 0.0) / LASTING, 1.0) * math.log(likelihood)
+
+
+@njit(_nrt=False)
+def score(row, r):
+    """Nats: logarithm of the likelihood of the fixes of all receivers, and of the prior of what the filter says."""
+    return row[r + Hypothesis.SCORE] + row[r + Hypothesis.BESIDE]
 
 
 @njit(_nrt=False)

@@ -13,8 +13,8 @@ from ..measurements import magnetometer
 from ..measurements.geometry import angular_rate, arm_of, body_velocity, rotate, vehicle_to_level
 from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
-from . import clock_jump, contradiction, receiver, repeats, way
-from .scale import Scale, Seen, learn, scale, seen_of
+from . import clock_jump, contradiction, hypotheses, receiver, repeats, way
+from .scale import Scale, Seen, learn_changes, scale, seen_of
 from .standstill import SLOWEST_TOLD
 
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
@@ -47,6 +47,9 @@ LARGEST_HEADING_NOISE = 0.05
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
 LONGEST_JUMP = 60.0
+#: s for which the ways of an input that was wrong have to be right before it is used again: on a straight street other
+#: axes may fit, too
+RIGHT_AGAIN = 20.0
 #: s without a fix after which the fixes no longer confirm the velocity
 NO_FIX = 10.0
 
@@ -71,11 +74,12 @@ def judge(mem, r, at, n, dimensions):
     h, own = p + n * n, seen_of(mem, r, at)
     time = mem[at + Event.TIME]
     of_velocity = is_of_velocity(kind)
-    if is_contradicted(mem, r, at, n):
+    if _is_off(mem, r, at, n):
         if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
-            mem[own + Seen.FITTED] = 0.0
             contradiction.let_fixes_decide(mem, r)
-        return 1.0, NEVER
+        mem[own + Seen.FITTED] = -time
+    if is_contradicted(mem, r, at):
+        return 1.0, ROBUST, NEVER
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
     lasts = SPEED_LASTS if of_velocity else FIELD_LASTS if kind == Kind.MAGNETIC else 0.0
@@ -89,7 +93,7 @@ def judge(mem, r, at, n, dimensions):
         mem[own + Scale.TIME] = time
         # a velocity may fit by its size and point elsewhere
         gate = NEVER if kind == Kind.VELOCITY else ROBUST
-        return density * max(1.0, first**2 / mem[at + Event.R_NN]), gate
+        return density * max(1.0, first**2 / mem[at + Event.R_NN]), ROBUST, gate
     claimed = mem[at + Event.R_NN]
     squared, variance = _innovation(mem, r, at, n, dimensions)
     if dimensions > 1:
@@ -100,13 +104,17 @@ def judge(mem, r, at, n, dimensions):
                              density * min(before * claimed, max(LARGEST_CLAIM * claimed, least**2)), variance):
         squared, variance = _innovation(mem, r, at, n, dimensions)
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
-    if kind == Kind.PLACE and _is_elsewhere(mem, own, time, squared, variance + min(before, LARGEST_CLAIM) * claimed,
-                                            confirmed):
-        return 1.0, NEVER
-    learn(mem, own, time, squared, claimed, variance, dimensions)
+    if kind == Kind.PLACE:
+        expected = variance + min(before, LARGEST_CLAIM) * claimed
+        hypotheses.judge_further(mem, r, squared, expected, since)
+        if _is_elsewhere(mem, own, time, squared, expected, confirmed):
+            mem[own + Scale.TIME] = time
+            return 1.0, ROBUST, NEVER
+    learn_changes(mem, own, time, squared, claimed, variance, dimensions, 1.0 / density)
     realised = scale(mem, own)
     unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
     factor = max(realised, 1.0) + unknown / claimed
+    robust = ROBUST * math.sqrt((variance + factor * claimed) / (variance + density * factor * claimed))
     if makes_way(kind):  # one by one each is judged by what it claims itself
         longest = LONGEST_SLIP if of_velocity else LONGEST_JUMP
         # iron beside the way lasts, and would pass for noise
@@ -116,12 +124,12 @@ def judge(mem, r, at, n, dimensions):
         slips = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < longest
         if squared < ROBUST * ROBUST * expected:
             mem[own + Seen.FITTED] = time
-        if of_velocity and slips and squared > far * far * expected:
+        if of_velocity and kind != Kind.VELOCITY and slips and squared > far * far * expected:
             way.interrupt(mem, own)
         if confirmed or slips:
-            return density * factor, far * math.sqrt(expected / (variance + density * factor * claimed))
+            return density * factor, robust, far * math.sqrt(expected / (variance + density * factor * claimed))
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
-        return density * factor, 0.0
+        return density * factor, robust, 0.0
     column = h + 3 * n
     n_navigation = int(mem[Head.N_NAVIGATION])  # sensor errors do not make it wrong by as much at once
     for k in range(dimensions):
@@ -129,7 +137,7 @@ def judge(mem, r, at, n, dimensions):
         for i in range(n_navigation):
             for j in range(n_navigation):
                 mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
-    return density * factor, 0.0
+    return density * factor, robust, 0.0
 
 
 @njit(_nrt=False)
@@ -171,7 +179,14 @@ def _constant_error(mem, at):
 
 
 @njit(_nrt=False)
-def is_contradicted(mem, r, at, n):
+def is_contradicted(mem, r, at):
+    """Whether the ways of the input of the record at `at` are certainly not those of the fixes, or were not lately."""
+    fitted = mem[seen_of(mem, r, at) + Seen.FITTED]
+    return makes_way(int(mem[at + Event.KIND])) and fitted < 0.0 and mem[at + Event.TIME] + fitted < RIGHT_AGAIN
+
+
+@njit(_nrt=False)
+def _is_off(mem, r, at, n):
     """Whether the ways of the input of the record at `at` are certainly not those of the fixes, and by more than its
     constant error, as estimated, may still be off; P is in the scratch."""
     if not makes_way(int(mem[at + Event.KIND])):
@@ -179,7 +194,7 @@ def is_contradicted(mem, r, at, n):
     error, tolerated = _constant_error(mem, at), way.TOLERATED
     if error >= 0:
         tolerated = way.CERTAIN * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
-    return way.is_contradicted(mem, seen_of(mem, r, at), tolerated)
+    return way.is_contradicted(mem, seen_of(mem, r, at), mem[at + Event.KIND], tolerated)
 
 
 @njit(_nrt=False)
@@ -210,8 +225,12 @@ def add_to_way(mem, r, at, n, c, sample):
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     x, y, z = mem[Head.LEVER_X] - x, mem[Head.LEVER_Y] - y, mem[Head.LEVER_Z] - z
     north, east, _ = rotate(c, w_y * z - w_z * y, w_z * x - w_x * z, w_x * y - w_y * x)  # w x arm
-    way.travel(mem, seen_of(mem, r, at), mem[at + Event.TIME], v_n + north, v_e + east, density, yaw_variance,
-               kind == Kind.HEADING)
+    late, late_variance, offset = 0.0, 0.0, int(mem[at + Event.TIME_OFFSET])
+    if offset > 0 and not is_of_heading(kind):
+        late = mem[r + NAV + offset]
+        late_variance = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * offset]
+    way.travel(mem, r, seen_of(mem, r, at), mem[at + Event.TIME], v_n + north, v_e + east, density, yaw_variance, late,
+               late_variance)
     goes = abs(body_velocity(mem, r, vehicle_to_level(mem, r, c), 0))
     if kind != Kind.VELOCITY and math.hypot(north, east) > max(goes, SLOWEST_TOLD):
         way.interrupt(mem, seen_of(mem, r, at))  # in a turn on the spot the way is the turn's, and fits any speed

@@ -1,13 +1,16 @@
-"""Whether a speed is the vehicle's: the way that it makes up is compared with the one between fixes.
+"""Whether a speed is the vehicle's: the way that it makes up is compared with the fixes.
 
-A wheel speed in km/h, one of the wrong sign, one that stays at zero and a velocity in other axes are taken for
+A wheel speed in km/h, one of the wrong sign, wheels that slip on sand and a velocity in other axes are taken for
 measurements with much noise, and twenty of them a second are more than a fix of metres each second can say against.
-But whatever the filter thinks of its velocity, the way between two fixes is known to some metres. By what share the
-way that the speeds make up is longer or shorter, along that of the fixes, is estimated from each way that is long
-enough to tell, with a Kalman filter of one state. An input whose ways are certainly wrong is refused, also when fixes
-end, until its ways fit again. A heading makes up a way as well: the one that the nose leads along. All are ways of the
-antenna, from the instant of one fix to that of another: a robot's turns on the spot, and the way that it makes between
-two speeds, are longer than its fixes are uncertain.
+But whatever the filter thinks of its velocity, the fixes show the way within some metres.
+
+A Kalman filter of its own, with two states for each input: how far the way that its speeds make up has gone away from
+the antenna, m, and by what share it is longer than the way of the antenna. The share makes the distance grow; fixes
+measure the distance. Both are complex numbers, north + i east: the real part of the share is length, the imaginary part
+direction, as by a heading that is off. So the equations are those of one axis, and variances are real. An input whose
+share is certainly wrong is refused, also when fixes end, until it is right again. A heading makes up a way as well: the
+one that the nose leads along. All are ways of the antenna: a robot's turns on the spot, and the way that it makes
+between two speeds, are longer than its fixes are uncertain.
 """
 from __future__ import annotations
 
@@ -15,34 +18,33 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import INPUT_SIZE, Event, Head, Nav, nonnegative
+from ..measurements.base import UNDECLARED_OFFSET
+from ..memory import INPUT_SIZE, Event, Head, Kind, Nav, is_of_heading, nonnegative
 from .scale import Inputs, Seen
 
-#: variance of that share before any way is compared: a speed is off by a fifth
-PRIOR = 0.04
-#: sigma of it over a way that is known exactly: stamps that are late while the speed changes, bends between samples
+#: variance of the share before any fix is compared: a speed in another unit, or of the wrong sign
+PRIOR = 1.0
+#: 1/m, by which it grows with the way: on another ground wheels slip by other shares, six percent in a kilometre
+WANDERS = 4e-6
+#: of a way within a second, one sigma: bends between samples, a heading that is a degree off
 UNEVEN = 0.02
-#: share of what one way tells by which the estimate is less known with each: twenty ways ago it was another
-FORGOTTEN = 0.05
-#: share of the way by the speeds below which that of the fixes has no direction of its own
-NO_DIRECTION = 0.3
-#: a way tells something where it is so many sigmas of both: of half as long ones UNEVEN and the sigmas hide a third
-FEWEST_SIGMAS = 16.0
-#: one that differs by more sigmas counts as that, but for the second in a row that is longer, or shorter
-LARGEST_SURPRISE = 2.0
+#: s over which a speed changes evenly
+CHANGE_LASTS = 1.0
+#: s for which errors of a fix last: in that time all of them count as one
+FIX_LASTS = 1.0
+#: s, and what lasts of its errors changes within this time (multipath)
+LASTING_TIME = 60.0
+#: sigmas: a fix that is further off is passed over. After two in a row the fixes are elsewhere, or it is another speed
+SURPRISE = 4.0
 #: s: an input that pauses for longer has made a way that nobody knows
 LONGEST_PAUSE = 1.5
-#: s: fixes further apart are not compared, as the heading that the speeds are laid along has errors
-LONGEST_WAY = 60.0
-#: rad: with a heading that is less known only their lengths are compared, which do not depend on it
+#: rad: with a heading that is less known the way of wheels has no direction
 LARGEST_YAW_SIGMA = 0.3
-#: what of a way is compared: its length along that of the fixes, its direction, its length
-ALONG, DIRECTION, LENGTH = 0.0, 1.0, 2.0
 #: a speed may be off by this share: tyres that nobody declared, which is about what the filter can estimate
 TOLERATED = 0.05
 #: sigmas beyond which more than that is certain
 CERTAIN = 3.0
-#: sigma of the share below which ways have been compared: after one, mostly, and three times that is certain
+#: sigma of the share below which an input has been compared: three times that would be certain of a third
 COMPARED = 0.09
 
 
@@ -53,27 +55,37 @@ def interrupt(mem, own):
 
 
 @njit(_nrt=False)
-def travel(mem, own, time, v_n, v_e, density, yaw_variance, tells_direction):
+def travel(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_variance):
     """Add what an input says at `time`, s, to its way. own: position of its `Seen`.
 
     v_n, v_e: velocity of the antenna, m/s, linear between two of them. density: variance of its way in a second, m^2/s.
-    tells_direction: whether it tells a direction, and the length of the way is the state's.
+    yaw_variance: of the direction that it has been laid along, rad^2. late: by which its stamps are late, s, and the
+    variance of that.
     """
-    if tells_direction:
-        mem[own + Seen.COMPARED_IN] = DIRECTION
-    elif yaw_variance > LARGEST_YAW_SIGMA**2:
-        mem[own + Seen.COMPARED_IN] = LENGTH
     before, mem[own + Seen.WAY_TIME] = mem[own + Seen.WAY_TIME], time
     since = time - before
+    mem[own + Seen.GONE] += mem[r + Nav.V_N] * since
+    mem[own + Seen.GONE + 1] += mem[r + Nav.V_E] * since
     if before != 0.0 and since > LONGEST_PAUSE:  # one so slow makes no way, and nothing can speak against it
         mem[own + Seen.COMPARED] = 1.0
+    if yaw_variance > LARGEST_YAW_SIGMA**2:
+        _forget(mem, own)
+        interrupt(mem, own)
     if not 0.0 < since <= LONGEST_PAUSE:
         interrupt(mem, own)
     mem[own + Seen.VARIANCE] += density * since
+    repeated = CHANGE_LASTS / max(since, 1e-3)
     for k, v in enumerate((v_n, v_e)):
         change, mem[own + Seen.LAST + k] = v - mem[own + Seen.LAST + k], v
-        mem[own + Seen.WAY + k] += (v - 0.5 * change) * since
-        mem[own + Seen.VARIANCE] += (change * since) ** 2 / 12.0  # it may have changed at any time in between
+        mem[own + Seen.WAY + k] += (v - 0.5 * change) * since + late * change
+        # it may have changed at any time in between; and all within a second has the same lateness
+        mem[own + Seen.VARIANCE] += ((since**2) / 12.0 + max(repeated, 1.0) * late_variance) * change**2
+
+
+@njit(_nrt=False)
+def _forget(mem, own):
+    """Nothing is known of the share but the prior."""
+    mem[own + Seen.SHARE] = mem[own + Seen.SHARE + 1] = mem[own + Seen.KNOWN] = 0.0
 
 
 @njit(_nrt=False)
@@ -91,65 +103,74 @@ def _compare(mem, r, at, own, variance):
         return
     since = time - mem[own + Seen.WAY_TIME]
     last_n, last_e = mem[own + Seen.LAST] * since, mem[own + Seen.LAST + 1] * since
-    if mem[own + Seen.START] != 0.0 and since <= LONGEST_PAUSE:
+    interval = time - mem[own + Seen.START]
+    # stamps that are late by more than has been found yet
+    noise = variance + UNDECLARED_OFFSET**2 * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
+    if interval > 0.0:
+        noise *= max(1.0, FIX_LASTS / interval)
+    if mem[own + Seen.START] == 0.0 or since > LONGEST_PAUSE:
+        _begin(mem, own, noise)
+    elif interval <= 0.0:
+        return
+    else:
         north = (mem[at + Event.LATITUDE] - mem[own + Seen.START + 1]) / mem[r + Nav.NORTH_SCALE]
         east = (mem[at + Event.LONGITUDE] - mem[own + Seen.START + 2]) / mem[r + Nav.EAST_SCALE]
-        more, sigma = _differs(mem, own, north, east, mem[own + Seen.WAY] + last_n, mem[own + Seen.WAY + 1] + last_e,
-                               2.0 * variance + mem[own + Seen.VARIANCE])
-        tells = sigma < 1.0 / FEWEST_SIGMAS
-        if time - mem[own + Seen.START] < LONGEST_WAY and not (tells and _is_enough(mem, own, more, sigma)):
+        way = complex(mem[own + Seen.WAY] + last_n, mem[own + Seen.WAY + 1] + last_e)
+        drift = (mem[own + Seen.VARIANCE] + UNEVEN**2 * abs(way) ** 2 / interval
+                 + 2.0 * mem[r + Nav.LASTING] * interval / LASTING_TIME)
+        if not learn(mem, own, way, complex(north, east), drift, noise):
             return
-        if tells:
-            _learn(mem, own, more, sigma**2 + UNEVEN**2)
-        else:  # nothing speaks against it, and a robot may never go further
-            mem[own + Seen.COMPARED] = 1.0
-    mem[own + Seen.START], mem[own + Seen.VARIANCE], mem[own + Seen.COMPARED_IN] = time, 0.0, ALONG
+    mem[own + Seen.START], mem[own + Seen.VARIANCE] = time, 0.0
+    mem[own + Seen.GONE] = mem[own + Seen.GONE + 1] = 0.0
     mem[own + Seen.WAY], mem[own + Seen.WAY + 1] = -last_n, -last_e  # what is before the fix is of the way before
     mem[own + Seen.START + 1], mem[own + Seen.START + 2] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
 
 
 @njit(_nrt=False)
-def _differs(mem, own, north, east, way_n, way_e, variance):
-    """By what share the way of an input is longer than that of the fixes (north, east), or, of one that tells a
-    direction, by how much it is turned, rad; and the sigma of that by `variance`, m^2, of both."""
-    fixes, speeds, common = math.hypot(north, east), math.hypot(way_n, way_e), north * way_n + east * way_e
-    longer = max(fixes, speeds, 1e-9)
-    if mem[own + Seen.COMPARED_IN] == DIRECTION:
-        turned = math.atan2(north * way_e - east * way_n, common)
-        # backwards is backwards: half a turn to the left and half a turn to the right had no turn as their mean
-        return turned if common > 0.0 else abs(turned), math.sqrt(variance) / max(min(fixes, speeds), 1e-9)
-    if mem[own + Seen.COMPARED_IN] == LENGTH:
-        more = speeds - fixes
-    else:
-        more = common / fixes - fixes if fixes > NO_DIRECTION * speeds else speeds - common / max(speeds, 1e-9)
-    return more / longer, math.sqrt(variance) / longer
+def _begin(mem, own, noise):
+    """The way of an input begins anew, at a fix with this variance, m^2; what its share is stays known."""
+    for i in range(2):
+        mem[own + Seen.GAP + i] = mem[own + Seen.TOGETHER + i] = 0.0
+    mem[own + Seen.GAP_VARIANCE], mem[own + Seen.SURPRISED] = noise, 0.0
 
 
 @njit(_nrt=False)
-def _is_enough(mem, own, more, sigma):
-    """Whether a way is long enough to be compared: the first one is at once, later ones where it would tell no more if
-    it were longer, or where it certainly says something else than those before."""
-    expected = math.sqrt(PRIOR - mem[own + Seen.KNOWN] + sigma**2 + UNEVEN**2)
-    return (mem[own + Seen.COMPARED] == 0.0 or sigma < UNEVEN
-            or abs(more - mem[own + Seen.MORE]) > CERTAIN * expected)
+def learn(mem, own, way, fixes, drift, noise):
+    """Learn from the way of an input and of the fixes since the fix before, m, north + i east. own: of its `Seen`.
 
-
-@njit(_nrt=False)
-def _learn(mem, own, more, noise):
-    variance = min(PRIOR - mem[own + Seen.KNOWN] + FORGOTTEN * noise, PRIOR)
-    surprise, sigma = more - mem[own + Seen.MORE], math.sqrt(variance + noise)
-    far = math.copysign(1.0, surprise) if abs(surprise) > LARGEST_SURPRISE * sigma else 0.0
-    if far != 0.0 and far == mem[own + Seen.SURPRISED]:  # from now on it is another speed
-        variance = PRIOR
-    elif far != 0.0:  # perhaps it is; or a fix is far off, which makes one way longer and the next one shorter
-        variance = min(variance + noise, PRIOR)
-        surprise = far * LARGEST_SURPRISE * math.sqrt(variance + noise)
-    mem[own + Seen.SURPRISED] = far
-    gain = variance / (variance + noise)
-    mem[own + Seen.MORE] += gain * surprise
-    mem[own + Seen.KNOWN] = PRIOR - (1.0 - gain) * variance
-    if (1.0 - gain) * variance < COMPARED**2:
+    drift: variance that the distance gathers besides; noise: of the fix, m^2. Whether the fix has been compared, and
+    the next way begins at it.
+    """
+    # that of the filter: that of the input has noise, which would pass for a share of its own
+    gone = complex(mem[own + Seen.GONE], mem[own + Seen.GONE + 1])
+    share = complex(mem[own + Seen.SHARE], mem[own + Seen.SHARE + 1])
+    together = complex(mem[own + Seen.TOGETHER], mem[own + Seen.TOGETHER + 1])  # covariance of distance and share
+    variance = min(PRIOR - mem[own + Seen.KNOWN] + WANDERS * abs(gone), PRIOR)
+    gap = (mem[own + Seen.GAP_VARIANCE] + 2.0 * (together * gone.conjugate()).real + abs(gone) ** 2 * variance + drift)
+    together += gone * variance
+    # the distance as estimated, less the one measured at the fix before, is in GAP
+    surprise = way - fixes - share * gone - complex(mem[own + Seen.GAP], mem[own + Seen.GAP + 1])
+    if abs(surprise) ** 2 > SURPRISE**2 * (gap + noise):
+        mem[own + Seen.SURPRISED] += 1.0
+        if mem[own + Seen.SURPRISED] < 2.0:
+            return False
+        # one that was wrong is so until it is known to be right
+        wrong = _is_certain(mem, own, abs(share), TOLERATED)
+        mem[own + Seen.COMPARED], mem[own + Seen.KNOWN] = -1.0 if wrong else 0.0, 0.0
+        _begin(mem, own, noise)
+        return True
+    gain = gap / (gap + noise)
+    share += together.conjugate() * surprise / (gap + noise)
+    variance -= abs(together) ** 2 / (gap + noise)
+    together *= 1.0 - gain
+    left = (gain - 1.0) * surprise
+    mem[own + Seen.SHARE], mem[own + Seen.SHARE + 1], mem[own + Seen.KNOWN] = share.real, share.imag, PRIOR - variance
+    mem[own + Seen.TOGETHER], mem[own + Seen.TOGETHER + 1] = together.real, together.imag
+    mem[own + Seen.GAP], mem[own + Seen.GAP + 1], mem[own + Seen.GAP_VARIANCE] = left.real, left.imag, gain * noise
+    mem[own + Seen.SURPRISED] = 0.0
+    if variance < COMPARED**2:
         mem[own + Seen.COMPARED] = 1.0
+    return True
 
 
 @njit(_nrt=False)
@@ -159,6 +180,17 @@ def is_compared(mem, own):
 
 
 @njit(_nrt=False)
-def is_contradicted(mem, own, tolerated=TOLERATED):
-    """Whether the ways of an input are certainly not those of the fixes. tolerated: share by which they may differ."""
-    return abs(mem[own + Seen.MORE]) > tolerated + CERTAIN * math.sqrt(PRIOR - mem[own + Seen.KNOWN])
+def is_contradicted(mem, own, kind, tolerated):
+    """Whether the ways of an input of this kind are certainly not those of the fixes. tolerated: share by which they
+    may differ; of a heading, rad."""
+    share = complex(mem[own + Seen.SHARE], mem[own + Seen.SHARE + 1])
+    if is_of_heading(kind):
+        off = abs(math.atan2(share.imag, 1.0 + share.real))
+    else:
+        off = abs(share) if kind == Kind.VELOCITY else abs(share.real)
+    return mem[own + Seen.COMPARED] < 0.0 or _is_certain(mem, own, off, tolerated)
+
+
+@njit(_nrt=False)
+def _is_certain(mem, own, off, tolerated):
+    return off > tolerated + CERTAIN * math.sqrt(PRIOR - mem[own + Seen.KNOWN])
