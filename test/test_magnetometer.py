@@ -138,7 +138,7 @@ def test_measured_iron_tells_the_heading_at_rest():
     assert np.abs(heading_error(made, result) - np.degrees(0.2)).max() < 1.5
     # and without the iron's value it waits for a turn
     waiting = driven(made, fields, **{**known, 'magnetometer.hard_iron_sigma': 50e-6})
-    assert not len(waiting.stamp) and any('or to turn' in notice.text for notice in waiting.notices)
+    assert not len(waiting.stamp) and any('or turns' in notice.text for notice in waiting.notices)
 
 
 def test_iron_beside_the_way_does_not_turn_the_heading(slow):

@@ -126,7 +126,7 @@ def _apply_input(mem, r, at, sample):
     if inputs.makes_way(kind) and verdict == Verdict.REFUSED:
         if inputs.is_contradicted(mem, r, at):
             mem[at + Event.VERDICT] = Verdict.CONTRADICTED
-        elif not way.is_compared(mem, seen_of(mem, r, at)):
+        elif kind != Kind.MAGNETIC and not way.is_compared(mem, seen_of(mem, r, at)):
             mem[at + Event.VERDICT] = Verdict.AWAITED
     if verdict != Verdict.REFUSED:
         end_update(mem, r)
