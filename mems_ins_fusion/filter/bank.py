@@ -95,7 +95,7 @@ def compare(memory):
         _start_from_fixes(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0:  # the state before the fixes is no longer in the memory: there is no second filter
             return
-    for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.SIZE):  # it is the same receiver
+    for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.CHANGING):  # it is the same receiver
         other[r + i] = memory[r + i]
     if other[r + Hypothesis.DOUBTS] == 0.0 and other[r + Hypothesis.VARIANCE] != 0.0:
         # it takes fixes for right again: from now on it is judged by them, as the first

@@ -63,7 +63,7 @@ class Alignment:
         self._fixes: list[tuple] = []  # time, latitude, longitude, variance, height, covariance
         self._first: float | None = None  # time of the first sample
         self._saved: SavedState | None = None
-        self._scale = np.zeros(Scale.SIZE)  # realised over claimed variance of the fixes
+        self._scale = np.zeros(Scale.CHANGING)  # realised over claimed variance of the fixes
         self._track: list[tuple] = []  # the latest three fixes that are SHORTEST_PAIR apart
         self._consistent = 0  # number of second differences that agreed with the claimed noise
         self._mounting_problem = ''  # problem of the mounting that driving off has shown

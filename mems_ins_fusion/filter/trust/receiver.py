@@ -24,13 +24,13 @@ Receiver = ROW.place(
     MOVED=4,  # and how fixes have moved position and velocity since the first, m, m/s, and how far off that was
     FOLLOWED=3,  # whitened innovations behind a low pass of FOLLOWED, and their variance were they white
     THREE=6,  # two fixes before the next one: time, s, latitude and longitude, rad,
-    SMOOTH_SCALE=Scale.SIZE,  # realised over claimed variance at most, as three fixes are off a straight line,
-    SCALE=Scale.SIZE,  # realised over claimed variance of the fixes,
+    SMOOTH_SCALE=Scale.CHANGING,  # realised over claimed variance at most, as three fixes are off a straight line,
+    SCALE=Scale.CHANGING,  # realised over claimed variance of the fixes,
     SLOW_SCALE=Scale.SIZE,  # the same as the innovations behind a low pass show it,
     LASTING_SCALE=Scale.SIZE,  # of what of it lasts over what is expected of that,
     INNOVATION_SCALE=Scale.SIZE,  # and of the innovations behind a low pass
     STATUS=1,  # of the fixes that the first four scales are of, `NavSatStatus.status` and 1; 0: none yet,
-    OTHERS=3 * 4 * Scale.SIZE)  # and these scales of the fixes of each status
+    OTHERS=3 * 2 * (Scale.CHANGING + Scale.SIZE))  # and these scales of the fixes of each status
 
 #: s from the first to the last of three fixes that are compared with a straight line: in more, what a vehicle does
 #: takes it further from that than any receiver scatters. A fix each ten seconds still counts
@@ -87,7 +87,7 @@ def take_status(mem, r, at):
     mem[r + Receiver.STATUS] = status
     if before == 0 or before == status:
         return
-    size = 4 * Scale.SIZE
+    size = 2 * (Scale.CHANGING + Scale.SIZE)
     left, found = r + Receiver.OTHERS + size * (before - 1), r + Receiver.OTHERS + size * (status - 1)
     for i in range(size):
         mem[left + i] = mem[r + Receiver.SMOOTH_SCALE + i]
@@ -294,8 +294,9 @@ def learn_scatter(mem, r, at):
     before, mem[r + Receiver.CLAIMED] = mem[r + Receiver.CLAIMED], claimed
     if before > 0.0 and (claimed * CLAIM_CHANGE < before or claimed > CLAIM_CHANGE * before):
         changed = claimed / before
-        for of in (Receiver.SMOOTH_SCALE, Receiver.SCALE, Receiver.SLOW_SCALE):
-            reopen(mem, r + of, changed)
+        reopen(mem, r + Receiver.SMOOTH_SCALE, changed)
+        reopen(mem, r + Receiver.SCALE, changed)
+        begin_scale(mem, r + Receiver.SLOW_SCALE)
         for i in (Receiver.FIRST + 1, Receiver.SECOND + 3):
             mem[r + i] *= changed  # it is realised over what is claimed from now on, too
     _learn_from_three(mem, r, at, claimed)

@@ -38,11 +38,12 @@ class _Scale(NamedTuple):
 
     LOG: int = 0
     KNOWN: int = 1
-    OTHER_LOG: int = 2  # the same if it has become another one lately,
-    OTHER_KNOWN: int = 3
-    OTHER: int = 4  # and the probability of that
-    TIME: int = 5  # s, of the latest deviation
-    SIZE: int = 6
+    TIME: int = 2  # s, of the latest deviation
+    SIZE: int = 3  # of one that `learn` follows
+    OTHER_LOG: int = 3  # of one that `learn_changes` follows, mean and variance if it has become another one lately,
+    OTHER_KNOWN: int = 4
+    OTHER: int = 5  # and the probability of that
+    CHANGING: int = 6  # size of that
 
 
 Scale = _Scale()
@@ -51,7 +52,7 @@ Scale = _Scale()
 class _Seen(NamedTuple):
     """Columns of what is seen of one input besides the fixes."""
 
-    SCALE: int = 0  # a `Scale`
+    SCALE: int = 0  # a `Scale` that changes
     WAY: int = 6  # m, north and east, that its speeds make up since the fix START, see trust/way.py,
     WAY_TIME: int = 8  # s, till when; 0: it is no speed
     START: int = 9  # time, s, latitude and longitude, rad, of that fix; time 0: none
@@ -198,14 +199,15 @@ def _times_square(ratio, dimensions):
 
 @njit(_nrt=False)
 def begin_scale(mem, at):
-    """Nothing is known of it but the prior."""
-    mem[at + Scale.LOG] = mem[at + Scale.KNOWN] = mem[at + Scale.OTHER] = 0.0
+    """Nothing is known of the scale at `at`, which `learn` follows, but the prior."""
+    mem[at + Scale.LOG] = mem[at + Scale.KNOWN] = 0.0
 
 
 @njit(_nrt=False)
 def reopen(mem, at, factor):
-    """The assumed variance is `factor` times what it was. The realised one stays as it is, or it is as assumed, where
-    that is more, and may be any other: both hypotheses are as probable. Of several calls the first one's is kept."""
+    """The assumed variance of a scale that changes is `factor` times what it was. The realised one stays as it is, or it
+    is as assumed, where that is more, and may be any other: both hypotheses are as probable. Of several calls the first
+    one's is kept."""
     if mem[at + Scale.OTHER] < 0.5:
         mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_KNOWN] = mem[at + Scale.LOG], mem[at + Scale.KNOWN]
     mem[at + Scale.OTHER_LOG] -= math.log(factor)
