@@ -97,11 +97,12 @@ def _apply_fix(mem, r, at):
         way.compare(mem, r, at, receiver.realised_variance(mem, r, at))
     after = hypotheses.position_and_velocity(mem, r)
     straight_on.pull(mem, r, before, after)
-    hypotheses.add_move(mem, r, r + Receiver.MOVED, before, after)
-    if recovered:
+    if recovered:  # it has moved by more than a correction
         fix_drift.begin_anew(mem, r)
+        mem[r + Receiver.FIRST] = 0.0
     else:
         hypotheses.add_move(mem, r, r + FixDrift.MOVED, before, after)
+        hypotheses.add_move(mem, r, r + Receiver.MOVED, before, after)
     receiver.learn(mem, r, at, left_n, left_e)
     learn_drift(mem, r)
 
