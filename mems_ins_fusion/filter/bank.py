@@ -34,7 +34,7 @@ from .memory import (
 )
 from .trust import fix_drift, hypotheses, new_start
 from .trust.hypotheses import Hypothesis
-from .trust.receiver import Receiver
+from .trust.receiver import CLAIM_CHANGE, Receiver, realised_scatter
 from .trust.scale import Scale
 
 #: columns of the head of the first filter
@@ -44,7 +44,8 @@ Bank = HEAD.place(
     OPEN=1,  # 1: there is a second filter
     COMPARED=1,  # s: time of the latest fix after which both were compared
     BEGUN=1,  # s: time since which the fixes are wrong, as the filter that refuses them assumes
-    SEARCHED=1)  # 1: earlier values of BEGUN have been tried (`_search_begin`)
+    SEARCHED=1,  # 1: earlier values of BEGUN have been tried (`_search_begin`)
+    SCATTER=1)  # realised over claimed variance of the fixes when the second filter began, 1 at least
 
 #: s before the first fix that did not fit: earlier times since which the fixes may be wrong, tried by `_search_begin`.
 #: Fixes that drift away fit at first
@@ -97,6 +98,12 @@ def compare(memory):
             return
     for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.CHANGING):  # it is the same receiver
         other[r + i] = memory[r + i]
+    if realised_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]:
+        # fixes scatter that much more than was known when they did not fit: they are no longer wrong or refused
+        memory[r + Hypothesis.DOUBTS] = memory[r + Hypothesis.VARIANCE] = memory[Bank.OPEN] = 0.0
+        for i in range(4):
+            memory[r + Hypothesis.SPREAD + i] = 0.0
+        return
     if other[r + Hypothesis.DOUBTS] == 0.0 and other[r + Hypothesis.VARIANCE] != 0.0:
         # it takes fixes for right again: from now on it is judged by them, as the first
         other[r + Hypothesis.VARIANCE] = 0.0
@@ -125,7 +132,7 @@ def _swap(memory, other):
     """Exchange the first and the second filter."""
     for i in range(int(memory[Bank.SIZE])):
         memory[i], other[i] = other[i], memory[i]
-    for i in range(Bank.SIZE, Bank.SEARCHED + 1):
+    for i in range(Bank.SIZE, Bank.SCATTER + 1):
         memory[i] = other[i]
     r = state_at(memory, int(memory[Head.SAMPLES]))
     memory[r + Hypothesis.FITS], other[r + Hypothesis.FITS] = 0.0, 1.0
@@ -143,6 +150,7 @@ def _start_from_fixes(memory, other, r, interval):
     _swap(memory, other)
     begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTED) * memory[Head.RECOVERY_TIME])
     memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.SEARCHED] = 1.0, begun, 1.0
+    memory[Bank.SCATTER] = max(realised_scatter(memory, r), 1.0)
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)
     other[start + Hypothesis.STARTS] = 1.0
@@ -181,6 +189,7 @@ def _begin(memory, other, r, interval):
         return
     if _refuse_since(memory, other, time, interval) > score - hypotheses.LOST:
         memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.SEARCHED] = 1.0, time, 0.0
+        memory[Bank.SCATTER] = max(realised_scatter(memory, r), 1.0)
 
 
 @njit(_nrt=False)
