@@ -33,7 +33,9 @@ def main(seconds: float = 120.0) -> float:
     """Feed the filter; its error at the end, m."""
     drive = simulate_drive(seconds, seed=3, rate=50.0, standstill=15.0)
     recording = simulate_recording(drive, gnss=GnssNoise(sigma=1.5), mounting_rpy=MOUNTING, seed=3).recording
-    live = FusionFilter(FilterConfig.from_parameters(table.check({'imu.mounting_rpy': MOUNTING})))
+    # inputs without a topic are not used; here the name says only that there is one
+    values = table.check({'imu.mounting_rpy': MOUNTING, 'speed_topic': 'wheels'})
+    live = FusionFilter(FilterConfig.from_parameters(values))
     for stamp, force, rate, fix, speed in board(drive, recording):
         live.add_imu(stamp, *(force * G), *np.radians(rate))
         if speed is not None:

@@ -159,6 +159,6 @@ def test_what_one_drive_alone_has_is_told_and_not_added_for_all():
 def test_a_drive_that_does_not_start_is_left_out_and_named():
     drives = [drive(1, 0.3), drive(2, 0.3, duration=30.0), drive(3, 0.3)]
     result = diagnose(drives, VALUES, effects=FEW, **OUTAGES)
-    assert list(result.left_out) == ['drive_2'] and 'fixes' in result.left_out['drive_2']
+    assert list(result.left_out) == ['drive_2'] and 'did not start' in result.left_out['drive_2']
     assert [d.name for d in result.drives] == ['drive_1', 'drive_3']
     assert [f.name for f in added(result)] == ['gnss_time_offset']

@@ -16,7 +16,7 @@ from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
 from ..update import scratch_of
 from . import hypotheses
 from .drift import Drift
-from .hypotheses import CERTAIN, Hypothesis
+from .hypotheses import Hypothesis
 from .receiver import Receiver, realised_scatter
 from .scale import begin_scale
 
@@ -32,6 +32,9 @@ STRAYED_SLOPE = 2.0
 #: share of the size of the refused innovations by which they have grown where the filter strayed from the fixes: those
 #: of a receiver that jumped stay as they were
 STRAYED_PART = 0.5
+#: probability below which it is no chance that innovations of fixes that only scatter have a slope: one in a thousand
+#: rows of refused fixes
+CHANCE = 0.001
 #: s within which a filter that strays once more is counted as straying again
 SOON = 300.0
 #: sigmas by which refused fixes that agree scatter about a line at most
@@ -185,13 +188,12 @@ def _velocity_of_fixes(mem, r, at, strayed):
     own may be of no use where it has strayed, or by the last two of them."""
     slope_n, slope_e, _, variance = _line(mem, r)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
-    if strayed and 0.0 < interval < LONGEST_PAIR:
-        claimed = mem[at + Event.R_NN] + mem[at + Event.R_EE]
-        of_two = (GAP_ACCELERATION * interval) ** 2 + max(1.0, realised_scatter(mem, r)) * claimed / interval**2
-        if of_two < variance:
-            north, east = _since_last_fix(mem, r, at)
-            return north / interval, east / interval, NEW_VELOCITY_SIGMA**2 + of_two
-    return mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e, NEW_VELOCITY_SIGMA**2 + variance
+    if not strayed or not 0.0 < interval < LONGEST_PAIR:
+        return mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e, NEW_VELOCITY_SIGMA**2 + variance
+    north, east = _since_last_fix(mem, r, at)
+    claimed = max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    return (north / interval, east / interval,
+            NEW_VELOCITY_SIGMA**2 + (GAP_ACCELERATION * interval) ** 2 + claimed / interval**2)
 
 
 @njit(_nrt=False)
@@ -199,11 +201,13 @@ def _strayed(mem, r, time):
     """Whether it was the filter that strayed from the fixes refused until `time`, s: away from those of a receiver that
     jumps it is as far as at first."""
     slope_n, slope_e, _, variance = _line(mem, r)
-    slope = math.hypot(slope_n, slope_e)
+    slope, free = math.hypot(slope_n, slope_e), max(mem[r + Nav.REFUSED] - 2.0, 1.0)
     if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
         return False  # who hardly moves cannot stray
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
-    return (slope > max(STRAYED_SLOPE, CERTAIN * math.sqrt(variance))
+    # probability of such a slope of fixes that only scatter: F distribution with 2 and 2 (n - 2) degrees of freedom
+    chance = (1.0 + 0.5 * slope * slope / (free * max(variance, 1e-9))) ** -free
+    return (slope > STRAYED_SLOPE and chance < CHANCE
             and slope * (time - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size)
 
 

@@ -205,9 +205,11 @@ def begin_scale(mem, at):
 
 @njit(_nrt=False)
 def reopen(mem, at, factor):
-    """The assumed variance of a scale that changes is `factor` times what it was. The realised one stays as it is, or it
-    is as assumed, where that is more, and may be any other: both hypotheses are as probable. Of several calls the first
-    one's is kept."""
+    """The assumed variance of a scale that changes is `factor` times what it was.
+
+    The realised one stays as it is, or it is as assumed, where that is more, and may be any other: both hypotheses are
+    as probable. Of several calls the first one's is kept.
+    """
     if mem[at + Scale.OTHER] < 0.5:
         mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_KNOWN] = mem[at + Scale.LOG], mem[at + Scale.KNOWN]
     mem[at + Scale.OTHER_LOG] -= math.log(factor)
