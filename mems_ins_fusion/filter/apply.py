@@ -76,7 +76,7 @@ def _apply_fix(mem, r, at):
     factor, robust, gate = receiver.trust(mem, r, at)
     if doubts:
         robust = gate = 0.0
-    if not _is_believed(mem, r, at, n):
+    if not _is_believed(mem, r, at, n, factor):
         hypotheses.refuse(mem, r, at)
         return
     if mem[r + Nav.UNSETTLED] > 0.0:
@@ -170,9 +170,10 @@ def _note_state(mem, r, at):
 
 
 @njit(_nrt=False)
-def _is_believed(mem, r, at, n):
-    """Whether this filter uses the fix at `at` (`hypotheses.judge`). The rows of H follow P in the scratch."""
-    h, factor = int(mem[Head.SCRATCH_AT]) + n * n, receiver.realised_factor(mem, r)
+def _is_believed(mem, r, at, n, factor):
+    """Whether this filter uses the fix at `at` (`hypotheses.judge`). The rows of H follow P in the scratch. factor: on
+    its covariance R."""
+    h = int(mem[Head.SCRATCH_AT]) + n * n
     column = h + 3 * n
     r_nn, r_ne, r_ee = (factor * mem[at + Event.R_NN], factor * mem[at + Event.R_NE], factor * mem[at + Event.R_EE])
     s_nn = r_nn + project(mem, n, h, column)

@@ -244,12 +244,11 @@ def _judge_innovation(mem, r, at, interval, claimed, lasting):
     squared = 0.5 * (mem[followed] ** 2 + mem[followed + 1] ** 2) * variance
     tau = min(interval * variance / max(p, 1e-9 * variance), SLOWEST)
     realised = realised_scatter(mem, r)
-    if interval > FOLLOWED:  # a low pass of fixes that are as rare does not part what lasts from their scatter
-        pass
-    elif realised < DISHONEST:
-        learn_force_noise(mem, r, time, squared, white, p, tau, max(1.0 - realised, 0.0) * claimed, weight)
-    else:  # before that was known its scatter has passed for noise of the accelerometers
-        begin_scale(mem, r + ForceNoise.SCALE)
+    if interval <= FOLLOWED:  # the low pass of rarer fixes does not part what lasts from their scatter
+        if realised < DISHONEST:
+            learn_force_noise(mem, r, time, squared, white, p, tau, max(1.0 - realised, 0.0) * claimed, weight)
+        else:  # before that was known its scatter has passed for noise of the accelerometers
+            begin_scale(mem, r + ForceNoise.SCALE)
     learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(tau) * lasting, white, 2, weight)
 
 

@@ -20,6 +20,8 @@ from mems_ins_fusion.compiled import njit
 
 from ..measurements.base import UNDECLARED_OFFSET
 from ..memory import INPUT_SIZE, Event, Head, Kind, Nav, is_of_heading, nonnegative
+from .hypotheses import LASTING
+from .receiver import LASTING_TIME
 from .scale import Inputs, Seen
 
 #: variance of the share before any fix is compared: a speed in another unit, or of the wrong sign
@@ -30,10 +32,6 @@ WANDERS = 4e-6
 UNEVEN = 0.02
 #: s over which a speed changes evenly
 CHANGE_LASTS = 1.0
-#: s for which errors of a fix last: in that time all of them count as one
-FIX_LASTS = 1.0
-#: s, and what lasts of its errors changes within this time (multipath)
-LASTING_TIME = 60.0
 #: sigmas: a fix that is further off is passed over. After two in a row the fixes are elsewhere, or it is another speed
 SURPRISE = 4.0
 #: s: an input that pauses for longer has made a way that nobody knows
@@ -106,8 +104,8 @@ def _compare(mem, r, at, own, variance):
     interval = time - mem[own + Seen.START]
     # stamps that are late by more than has been found yet
     noise = variance + UNDECLARED_OFFSET**2 * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
-    if interval > 0.0:
-        noise *= max(1.0, FIX_LASTS / interval)
+    if interval > 0.0:  # errors of a fix last: all fixes within that time count as one
+        noise *= max(1.0, LASTING / interval)
     if mem[own + Seen.START] == 0.0 or since > LONGEST_PAUSE:
         _begin(mem, own, noise)
     elif interval <= 0.0:
