@@ -11,7 +11,7 @@ from filter_support import MODELS, configure, newest
 from mems_ins_fusion.filter.memory import NAV, Event, Kind, Verdict
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.live_output import published as would_publish
-from mems_ins_fusion.filter.runs.odometry import published_covariance
+from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, TWIST_COVARIANCE, published_covariance
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.samples import Aiding, Fixes, Headings, ImuSamples, Speeds, Velocities
@@ -232,6 +232,29 @@ def test_what_a_replay_publishes_is_what_a_live_filter_publishes(drive, mechaniz
     common = np.isin(stamp, list(odometry))
     assert common.sum() > 1500 and common.mean() > 0.95
     assert np.array_equal(rows[common], [odometry[s] for s in stamp[common].tolist()])
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_an_arm_that_is_not_known_is_in_the_published_covariance_of_the_position_alone(drive, mechanization):
+    # given the same fixes for a filter whose arm is known and one whose arm is not, to 0.4 m
+    imu, fixes = recorded(drive, 'gauss_markov')
+    known, unknown = (FusionFilter(configure({'gnss.lever_arm': [0.5, 0.2, 1.0], 'gnss.lever_arm_sigma': sigma},
+                                             mechanization=mechanization)) for sigma in (0.0, 0.4))
+    for fusion in (known, unknown):
+        events = in_order(imu, fixes, Aiding())
+        for k in range(3000):
+            while events and events[0][0] <= k:
+                _, name, arguments = events.pop(0)
+                getattr(fusion, name)(*arguments)
+            fusion.add_imu(int(imu.stamp[k]), *map(float, imu.specific_force[k]), *map(float, imu.angular_rate[k]))
+        fusion.update_odometry()
+    # then east and north have its variance more, and nothing else differs
+    more = np.zeros_like(known.odometry)
+    more[[POSE_COVARIANCE, POSE_COVARIANCE + 7]] = 0.16
+    assert unknown.odometry - known.odometry == pytest.approx(more, abs=1e-12)
+    assert unknown.position_covariance_enu - known.position_covariance_enu == pytest.approx(
+        np.diag([0.16, 0.16, 0.0]).ravel(), abs=1e-12)
+    assert known.odometry[TWIST_COVARIANCE] > 0.0 and known.odometry[POSE_COVARIANCE] > 0.0
 
 
 def test_a_recording_without_trouble_is_the_same_too(drive):

@@ -25,10 +25,10 @@ SECOND = 10**9
 KINDS = {'speed': Kind.SPEED, 'velocity': Kind.VELOCITY, 'twist': Kind.TWIST}
 
 
-def drive(seed, rate=1.0, outliers=0.0):
+def drive(seed, rate=1.0, outliers=0.0, speeds=20.0):
     made = simulate_recording(simulate_drive(200.0, seed, 50.0, standstill=10.0, hills=True),
                               SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(1.5, rate),
-                              seed=seed, aiding=Aiding(speed_rate=20.0, velocity_rate=5.0, twist_rate=20.0,
+                              seed=seed, aiding=Aiding(speed_rate=speeds, velocity_rate=5.0, twist_rate=20.0,
                                                        heading_rate=5.0, pressure_rate=10.0))
     recording, rng = made.recording, np.random.default_rng(seed)
     off = (rng.random(len(recording.gnss)) < outliers) * 50e-7
@@ -232,6 +232,24 @@ def test_wheels_that_slip_without_fixes_are_refused_at_once_and_used_again(name,
         # then with fixes, too, it is those that slip, from the first on, and few others
         assert ((refused > 109.9) & (refused < 113.1)).sum() > 55 and len(refused) < 70
     assert np.max(errors['slips']) < np.max(errors['rolls']) + 1.5, errors
+
+
+@pytest.mark.parametrize('rate', [10.0, 100.0])
+@pytest.mark.parametrize('more', [0.7, 3.0])
+def test_wheels_that_slip_again_and_again_cost_nothing_at_any_rate(rate, more):
+    # given wheels that turn too fast for 3 s of each 12, also while the vehicle accelerates, brakes and turns
+    recording = drive(4, speeds=rate)
+    speed = recording.speed
+    at = (speed.stamp - speed.stamp[0]) / SECOND
+    slip = (at > 60.0) & (at % 12.0 < 3.0) & (np.abs(speed.speed) > 2.0)
+    slipping = replace(speed, speed=speed.speed + more * slip)
+    (off, result), (right, _) = (off_with_fixes(recording, {'speed': one}) for one in (slipping, speed))
+    # then nearly all of that is refused, nearly nothing else, and the position is as with wheels that roll
+    record = result.measured.record[result.measured.kind == Kind.SPEED]
+    stamp = result.measured.stamp[result.measured.kind == Kind.SPEED]
+    refused, slip = record[:, Event.VERDICT] == Verdict.REFUSED, slip[np.searchsorted(speed.stamp, stamp)]
+    assert refused[slip].mean() > 0.9 and refused[~slip].mean() < 0.01
+    assert rms(off) < 1.1 * rms(right)
 
 
 def test_it_is_used_again_when_its_ways_fit():

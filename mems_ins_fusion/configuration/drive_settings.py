@@ -9,7 +9,17 @@ from mems_ins_fusion.configuration.input_settings import input_settings
 from mems_ins_fusion.configuration.mounting import BIAS_SIGMA, Mounting, deviation, rpy
 from mems_ins_fusion.configuration.receiver import TOO_SURE, Receiver
 from mems_ins_fusion.configuration.remaining import ARM
-from mems_ins_fusion.configuration.setting import ARM_SHOWN, SIGNIFICANT, Setting, arm_apart, at_zero, is_sure, rounded
+from mems_ins_fusion.configuration.setting import (
+    ARM_SHOWN,
+    ARM_UNKNOWN,
+    SIGNIFICANT,
+    TF_ARM,
+    Setting,
+    arm_apart,
+    at_zero,
+    is_sure,
+    rounded,
+)
 from mems_ins_fusion.configuration.topics import Topics
 from mems_ins_fusion.configuration.vehicle import LARGEST_ALIKE
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
@@ -46,7 +56,7 @@ def settings_of(topics: Topics, drives, mounting):
     if mounting is not None:
         antenna.append(_time_offset_setting(mounting.offset))
     if mounting is not None or arm is not None:
-        antenna.append(_arm_setting(mounting.offset if mounting is not None else None, arm))
+        antenna += _arm_settings(mounting.offset if mounting is not None else None, arm)
     yield from antenna
     yield from _receiver_settings([drive.receiver for drive in drives if drive.receiver is not None])
     yield from input_settings([drive.inputs for drive in drives], mechanization.value,
@@ -134,21 +144,27 @@ def _time_offset_setting(offset) -> Setting:
     return Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0, (seen if sure else f'{seen}{at_zero()}',))
 
 
-def _arm_setting(offset, told: np.ndarray | None) -> Setting:
-    """told: (3,) m from the IMU to the antenna that the transforms say."""
+def _arm_settings(offset, told: np.ndarray | None) -> tuple[Setting, Setting]:
+    """The arm and its sigma. told: (3,) m from the IMU to the antenna that the transforms say."""
+    name = 'gnss.lever_arm'
+    of_tf = Setting(f'{name}_sigma', TF_ARM, ('of what somebody has measured',))
     if offset is None:
         if told is not None:
-            return Setting('gnss.lever_arm', rounded(told, 3), (f'from {TF}; the drive does not show it',))
-        return Setting('gnss.lever_arm', [0.0, 0.0, 0.0], ('not shown; measure it with a tape',))
+            return Setting(name, rounded(told, 3), (f'from {TF}; the drive does not show it',)), of_tf
+        return (Setting(name, [0.0, 0.0, 0.0], ('not shown; measure it with a tape',)),
+                Setting(f'{name}_sigma', ARM_UNKNOWN, ('not shown: of antennas on robots and cars',)))
     seen = ', '.join(f'{arm:.2f} +- {sigma:.2f}' for arm, sigma in zip(offset.arm, offset.arm_sigma))
     if told is not None:
-        return Setting('gnss.lever_arm', rounded(told, 3), (f'from {TF}; the drive shows {seen} m forward, left, up',))
+        return Setting(name, rounded(told, 3), (f'from {TF}; the drive shows {seen} m forward, left, up',)), of_tf
     known = [sigma < ARM_SHOWN and is_sure(arm, sigma) for arm, sigma in zip(offset.arm, offset.arm_sigma)]
     left = '' if all(known) else (f'; what is not known to {ARM_SHOWN:g} m, or less than {SIGNIFICANT:g} sigma, is '
                                   'left at zero')
     arm = [round(float(part), 2) + 0.0 if there else 0.0 for part, there in zip(offset.arm, known)]
-    return Setting('gnss.lever_arm', arm, (
-        f'from the IMU to the antenna {seen} m forward, left, up{left}', 'a tape is better'))
+    sigma = max(s if there else min(math.hypot(part, s), ARM_UNKNOWN)
+                for part, s, there in zip(offset.arm[:2], offset.arm_sigma[:2], known))
+    return (Setting(name, arm, (f'from the IMU to the antenna {seen} m forward, left, up{left}', 'a tape is better')),
+            Setting(f'{name}_sigma', round(float(sigma), 3), (
+                'of forward and left, the larger one, with what is left at zero; of a tape 0.02',)))
 
 
 def against_tf(topics: Topics, mounting: Mounting | None):

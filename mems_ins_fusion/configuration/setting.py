@@ -11,6 +11,8 @@ SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
 #: sigmas, the same of the clocks of inputs, of which a file has several: at two, one file in five would have a false
 #: one
 OF_SEVERAL = 3.0
+#: m, standard deviation of the place of an antenna forward and left of the IMU, of which nothing is known; chosen
+ARM_UNKNOWN = 0.5
 ARM_SHOWN = 0.3  # m: a part of an arm with a larger sigma is not shown; a tape is better
 TF_ARM = 0.05  # m: what the transforms may be off by themselves, standard deviation
 

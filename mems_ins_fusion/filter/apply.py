@@ -24,7 +24,7 @@ from .trust.hypotheses import Hypothesis
 from .trust.receiver import Receiver
 from .trust.scale import seen_of
 from .trust.standstill import take_speed
-from .update import begin_update, end_update, normalized_square, product, project, update
+from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
 
 #: number of fixes. Up to this many refused in a row are taken for outliers: they are not used as the end of a
 #: displacement with which an input is compared (`trust/way.py`). After more of them the filter may be the one that is
@@ -83,7 +83,7 @@ def _apply_fix(mem, r, at):
         robust = gate = 0.0
         contradiction.loosen(mem, r, n, _misfit(mem, r, at, n, factor))
     # a height that is far off is no sign that the filter is wrong: in a car it changes slowly
-    verdict = update(mem, r, at, n, dimensions, factor, robust, gate, mem[Head.ROBUST_SIGMA])
+    verdict = update(mem, r, at, n, dimensions, factor, 1.0, robust, gate, mem[Head.ROBUST_SIGMA])
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
     if verdict != Verdict.REFUSED:
         end_update(mem, r)
@@ -121,8 +121,8 @@ def _apply_input(mem, r, at, sample):
     if kind == Kind.TWIST:
         judged = 2 if twist.measures_sideways(mem, at) else 1
         inputs.leave_out_turn_rate(mem, r, at, n)
-    factor, robust, gate = inputs.judge(mem, r, at, n, judged)
-    verdict = update(mem, r, at, n, dimensions, factor, robust, gate, robust)
+    factor, repeated, gate = inputs.judge(mem, r, at, n, judged)
+    verdict = update(mem, r, at, n, dimensions, factor, repeated, ROBUST, gate, ROBUST)
     mem[at + Event.VERDICT] = verdict
     if inputs.makes_way(kind) and verdict == Verdict.REFUSED:
         if inputs.is_contradicted(mem, r, at):

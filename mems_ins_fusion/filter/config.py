@@ -77,13 +77,15 @@ class ImuSettings:
 class GnssSettings:
     """Settings of the main receiver.
 
-    lever_arm: (3,) body axes forward-right-down, m. time_offset, max_delay, outage_after: s. lag: s^2, delay of the
-    position in m for each m/s^2 of acceleration. sigma, default_sigma: m. gate: normalized innovation beyond which a
-    fix is refused, 0: none. coloured: model of the receiver's coloured noise, or None.
+    lever_arm: (3,) body axes forward-right-down, m. lever_arm_sigma: of it, forward and right, m. time_offset,
+    max_delay, outage_after: s. lag: s^2, delay of the position in m for each m/s^2 of acceleration. sigma,
+    default_sigma: m. gate: normalized innovation beyond which a fix is refused, 0: none. coloured: model of the
+    receiver's coloured noise, or None.
     """
 
     topic: str
     lever_arm: np.ndarray
+    lever_arm_sigma: float
     time_offset: float
     lag: float
     sigma: float
@@ -426,6 +428,7 @@ def _gnss(values: dict) -> GnssSettings:
     share = values['gnss.gate_probability']
     return GnssSettings(
         topic=values['gnss_topic'], lever_arm=FLU_TO_FRD @ np.asarray(values['gnss.lever_arm'], dtype=float),
+        lever_arm_sigma=values['gnss.lever_arm_sigma'],
         time_offset=values['gnss.time_offset'], lag=values['gnss.lag_per_acceleration'], sigma=values['gnss.sigma'],
         default_sigma=values['gnss.default_sigma'], max_delay=values['gnss.max_delay'],
         # root of the quantile of a chi-square distribution with two degrees of freedom

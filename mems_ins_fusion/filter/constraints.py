@@ -79,18 +79,18 @@ def constrain(mem, r, sample):
                 mem[p + (n + 1) * (velocity_state(mem) + i)] += mem[r + Nav.V_N + i] ** 2
     if still:
         dimensions = standstill.observe_velocity(mem, r, at, h, n)
-        update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0, 0.0)
+        update(mem, r, at, n, dimensions, 1.0, 1.0, 0.0, 0.0, 0.0)
         _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)
         clear_rows(mem, h, n)
         dimensions = standstill.observe_rate(mem, at, h, n, sample)
         gyroscopes.free(mem, r, at, n, dimensions, sample)
-        update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0, 0.0)
+        update(mem, r, at, n, dimensions, 1.0, 1.0, 0.0, 0.0, 0.0)
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
         c, shown = body_to_level(mem, r), mem[sample + Shown.SIDEWAYS]
         # with such noise, how land vehicles accelerate is known better than the accelerometers measure it
         if hides_turns(mem, shown + force_noise(mem, r)):
             dimensions = acceleration.observe(mem, at, h, n, c, sample, since)
-            update(mem, r, at, n, dimensions, 1.0, ROBUST, 0.0, 0.0)
+            update(mem, r, at, n, dimensions, 1.0, 1.0, ROBUST, 0.0, 0.0)
             clear_rows(mem, h, n)
         if not hides_turns(mem, shown):
             dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)

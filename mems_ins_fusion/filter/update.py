@@ -80,13 +80,15 @@ def normalized_square(a, b, s_nn, s_ne, s_ee):
 
 
 @njit(_nrt=False)
-def update(mem, r, at, n, dimensions, factor, robust, gate, robust_alone):
+def update(mem, r, at, n, dimensions, factor, repeated, robust, gate, robust_alone):
     """Correct the state at r with the record at `at`, whose rows of H follow P in the scratch. Returns the `Verdict`.
 
-    dimensions: number of components, 1 to 3. factor: multiplies the covariance R of the record. robust: for a larger
-    normalized innovation R is raised until it has this value. gate: a larger normalized innovation is refused. robust
-    or gate 0: not applied. The first two components have one normalized innovation; the third has its own, with
-    robust_alone for robust, and where it is beyond the gate only the third is left out.
+    dimensions: number of components, 1 to 3. factor: multiplies the covariance R of the record. repeated: so many such
+    measurements have the same error and together count as one. Each is tested by what it says alone; then R is
+    multiplied by this. robust: for a larger normalized innovation R is raised until it has this value. gate: a larger
+    normalized innovation is refused. robust or gate 0: not applied. The first two components have one normalized
+    innovation; the third has its own, with robust_alone for robust, and where it is beyond the gate only the third is
+    left out.
     """
     p = int(mem[Head.SCRATCH_AT])
     h = p + n * n
@@ -116,6 +118,7 @@ def update(mem, r, at, n, dimensions, factor, robust, gate, robust_alone):
         r_nn, r_ne, r_ee = r_nn + inflation * s_nn, r_ne + inflation * s_ne, r_ee + inflation * s_ee
         verdict = Verdict.WEIGHTED
         mem[at + Event.WEIGHT] = 1.0 / (1.0 + inflation)
+    r_nn, r_ne, r_ee = repeated * r_nn, repeated * r_ne, repeated * r_ee
 
     # the first two are decorrelated with the Cholesky factor of R, then applied one after the other
     if dimensions > 2:
@@ -141,7 +144,7 @@ def update(mem, r, at, n, dimensions, factor, robust, gate, robust_alone):
             return verdict
         if robust_alone > 0.0 and down > robust_alone * robust_alone:
             r_dd += (down / (robust_alone * robust_alone) - 1.0) * s_dd
-        s = r_dd + project(mem, n, h + 2 * n, column)
+        s = repeated * r_dd + project(mem, n, h + 2 * n, column)
         correct_by_scalar(mem, r, n, h + 2 * n, column, z_d, s)
     return verdict
 

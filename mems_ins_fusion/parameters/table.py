@@ -90,6 +90,9 @@ FILTER = (
               positive=True, maximum=86400.0),
     Parameter('gnss.lever_arm', [0.0, 0.0, 0.0], 'm', 'From the IMU to the antenna, base_link '
               '(forward-left-up).', lengths=(3,), minimum=-50.0, maximum=50.0),
+    Parameter('gnss.lever_arm_sigma', 0.0, 'm', 'Standard deviation of gnss.lever_arm, forward and left each. It is in '
+              'the published covariance of the position, which is that of the IMU; 0: the arm is exact.', minimum=0.0,
+              maximum=10.0),
     Parameter('gnss.time_offset', 0.0, 's', 'A fix stamped t describes the vehicle when the IMU\'s clock read '
               't - time_offset.', minimum=-60.0, maximum=60.0),
     Parameter('gnss.time_offset_sigma', 0.0, 's', 'Standard deviation of gnss.time_offset; the remaining offset is '

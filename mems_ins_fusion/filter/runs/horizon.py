@@ -164,7 +164,7 @@ def _take_speed(mem, r, sample, interval):
     for i in range(n):
         mem[at + Event.Z_N] += mem[h + i] * mem[r + NAV + i]
     factor = max(scale(mem, seen_of(mem, r, at)), 1.0)
-    update(mem, r, at, n, dimensions, factor * max(interval, SPEED_LASTS) / STEP, 0.0, 0.0, 0.0)
+    update(mem, r, at, n, dimensions, factor, max(interval, SPEED_LASTS) / STEP, 0.0, 0.0, 0.0)
     end_update(mem, r)
 
 

@@ -111,11 +111,12 @@ def widen_without_heading(start, datum, out: np.ndarray, geodetic: np.ndarray, g
 
 
 @njit
-def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
+def odometry(memory, datum, height_sigma, arm_sigma, out, geodetic, geodetic_covariance):
     """The newest state as odometry.
 
     datum: (3,) latitude, longitude (rad), height. height_sigma: m, used with the planar mechanization, which does not
-    estimate the height.
+    estimate the height. arm_sigma: m, of the way from the antenna, whose position the fixes show, to the IMU, whose is
+    published.
     Outputs: out (SIZE,): position ENU; orientation x, y, z, w of base_link (FLU) in ENU; pose covariance 6 x 6; linear
     and angular velocity in base_link; twist covariance 6 x 6. geodetic (3,), geodetic_covariance (9,) ENU. Returns the
     time of the state, s.
@@ -149,6 +150,8 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
             column = row_of(memory, j)
             if column >= 0:
                 nine[9 * i + j] = memory[full + n * row + column]
+        if i == Error.R_N or i == Error.R_E:
+            nine[10 * i] += arm_sigma**2
     for i in range(6):
         for j in range(6):
             a, sign_a = _enu(i)

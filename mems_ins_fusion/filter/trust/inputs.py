@@ -20,9 +20,9 @@ from .standstill import SLOWEST_TOLD
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
 #: Weighted down it would still pull, each time.
 FAR = 10.0
-#: the same of a magnetic field, which iron beside the way disturbs every day, and of a further receiver, which
-#: reflections take away
-DISTURBED = 4.0
+#: the same of one that has fitted a moment ago: wheels that begin to slip, iron beside the way, and reflections that
+#: take a further receiver away. By chance it happens less than once in an hour with a hundred speeds in a second
+DISTURBED = 5.0
 #: m/s, that a speed is believed at most before its way has been compared with that of the fixes, whatever it claims
 FIRST_SIGMA = 0.1
 #: rad, the same of a heading: antennas that are exchanged, a compass beside iron
@@ -62,9 +62,9 @@ def makes_way(kind):
 
 @njit(_nrt=False)
 def judge(mem, r, at, n, dimensions):
-    """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too, and for as
-    many as tell no more than one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components
-    that are judged together, 1 or 2.
+    """Factor on the covariance of the input at `at`, learned from its innovation, too; how many of it tell no more than
+    one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components that are judged together, 1
+    or 2.
 
     One that does not fit is wrong, or the state is. What its variance is raised by, that of the state is raised by,
     too, along what is measured, unless fixes speak for the state, as they do for its velocity: so a filter that is sure
@@ -79,7 +79,7 @@ def judge(mem, r, at, n, dimensions):
             contradiction.let_fixes_decide(mem, r)
         mem[own + Seen.FITTED] = -time
     if is_contradicted(mem, r, at):
-        return 1.0, ROBUST, NEVER
+        return 1.0, 1.0, NEVER
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
     lasts = SPEED_LASTS if of_velocity else FIELD_LASTS if kind == Kind.MAGNETIC else 0.0
@@ -93,43 +93,49 @@ def judge(mem, r, at, n, dimensions):
         mem[own + Scale.TIME] = time
         # a velocity may fit by its size and point elsewhere
         gate = NEVER if kind == Kind.VELOCITY else ROBUST
-        return density * max(1.0, first**2 / mem[at + Event.R_NN]), ROBUST, gate
+        return max(1.0, first**2 / mem[at + Event.R_NN]), density, gate
     claimed = mem[at + Event.R_NN]
     squared, variance = _innovation(mem, r, at, n, dimensions)
     if dimensions > 1:
         claimed = 0.5 * (claimed + mem[at + Event.R_EE])
     before = max(scale(mem, own), 1.0)
+    unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
     least = LARGEST_NOISE if of_velocity else LARGEST_HEADING_NOISE
-    if clock_jump.has_jumped(mem, r, at, n, own, dimensions,
-                             density * min(before * claimed, max(LARGEST_CLAIM * claimed, least**2)), variance):
+    # iron beside the way lasts, and would pass for noise
+    largest = claimed if kind == Kind.MAGNETIC else max(LARGEST_CLAIM * claimed, least**2)
+    noise = min(before * claimed + unknown, largest)
+    far_off = makes_way(kind) and squared > DISTURBED**2 * (variance + noise)
+    fitted = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < (
+        LONGEST_SLIP if of_velocity else LONGEST_JUMP)
+    slips = fitted and far_off  # so soon no IMU is wrong by as much
+    if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance):
         squared, variance = _innovation(mem, r, at, n, dimensions)
+        far_off = squared > DISTURBED**2 * (variance + noise)
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
     if kind == Kind.PLACE:
         expected = variance + min(before, LARGEST_CLAIM) * claimed
         hypotheses.judge_further(mem, r, squared, expected, since)
         if _is_elsewhere(mem, own, time, squared, expected, confirmed):
             mem[own + Scale.TIME] = time
-            return 1.0, ROBUST, NEVER
+            return 1.0, 1.0, NEVER
     learn_changes(mem, own, time, squared, claimed, variance, dimensions, 1.0 / density)
-    realised = scale(mem, own)
-    unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
-    factor = max(realised, 1.0) + unknown / claimed
-    robust = ROBUST * math.sqrt((variance + factor * claimed) / (variance + density * factor * claimed))
+    factor = max(scale(mem, own), 1.0) + unknown / claimed
     if makes_way(kind):  # one by one each is judged by what it claims itself
-        longest = LONGEST_SLIP if of_velocity else LONGEST_JUMP
-        # iron beside the way lasts, and would pass for noise
-        largest, far = (1.0, DISTURBED) if kind == Kind.MAGNETIC else (LARGEST_CLAIM, FAR)
-        expected = variance + min(factor * claimed, max(largest * claimed, least**2))
-        # so soon no IMU is wrong by as much
-        slips = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < longest
+        expected = variance + noise
         if squared < ROBUST * ROBUST * expected:
             mem[own + Seen.FITTED] = time
-        if of_velocity and kind != Kind.VELOCITY and slips and squared > far * far * expected:
+        other = confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0
+        if other:  # no slip lasts for so long: the fixes have to confirm it as if it were new
+            mem[own + Seen.FITTED] = 0.0
+            way.forget(mem, own)
+        elif slips and of_velocity and kind != Kind.VELOCITY:
             way.interrupt(mem, own)
-        if confirmed or slips:
-            return density * factor, robust, far * math.sqrt(expected / (variance + density * factor * claimed))
+        if slips or other:
+            return factor, density, NEVER
+        if confirmed or fitted:
+            return factor, density, FAR * math.sqrt(expected / (variance + factor * claimed))
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
-        return density * factor, robust, 0.0
+        return factor, density, 0.0
     column = h + 3 * n
     n_navigation = int(mem[Head.N_NAVIGATION])  # sensor errors do not make it wrong by as much at once
     for k in range(dimensions):
@@ -137,7 +143,7 @@ def judge(mem, r, at, n, dimensions):
         for i in range(n_navigation):
             for j in range(n_navigation):
                 mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
-    return density * factor, robust, 0.0
+    return factor, density, 0.0
 
 
 @njit(_nrt=False)

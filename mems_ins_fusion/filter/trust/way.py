@@ -67,7 +67,7 @@ def travel(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_varian
     if before != 0.0 and since > LONGEST_PAUSE:  # one so slow makes no way, and nothing can speak against it
         mem[own + Seen.COMPARED] = 1.0
     if yaw_variance > LARGEST_YAW_SIGMA**2:
-        _forget(mem, own)
+        _forget_share(mem, own)
         interrupt(mem, own)
     if not 0.0 < since <= LONGEST_PAUSE:
         interrupt(mem, own)
@@ -81,7 +81,15 @@ def travel(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_varian
 
 
 @njit(_nrt=False)
-def _forget(mem, own):
+def forget(mem, own):
+    """An input has become another one: its ways have to be compared anew before it is used."""
+    _forget_share(mem, own)
+    interrupt(mem, own)
+    mem[own + Seen.COMPARED] = 0.0
+
+
+@njit(_nrt=False)
+def _forget_share(mem, own):
     """Nothing is known of the share but the prior."""
     mem[own + Seen.SHARE] = mem[own + Seen.SHARE + 1] = mem[own + Seen.KNOWN] = 0.0
 
