@@ -125,7 +125,7 @@ def judge(mem, r, at, n, dimensions):
         if squared < ROBUST * ROBUST * expected:
             mem[own + Seen.FITTED] = time
         other = confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0
-        if other:  # no slip lasts for so long: the fixes have to confirm it as if it were new
+        if other:  # no slip lasts for so long
             mem[own + Seen.FITTED] = 0.0
             way.forget(mem, own)
         elif slips and of_velocity and kind != Kind.VELOCITY:

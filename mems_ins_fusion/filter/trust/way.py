@@ -82,10 +82,10 @@ def travel(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_varian
 
 @njit(_nrt=False)
 def forget(mem, own):
-    """An input has become another one: its ways have to be compared anew before it is used."""
+    """An input has become another one: it is wrong until it is known to be right."""
     _forget_share(mem, own)
     interrupt(mem, own)
-    mem[own + Seen.COMPARED] = 0.0
+    mem[own + Seen.COMPARED] = -1.0
 
 
 @njit(_nrt=False)
