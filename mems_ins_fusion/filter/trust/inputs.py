@@ -37,6 +37,9 @@ FIELD_LASTS = 10.0
 #: s for which a speed that has fitted and then is far off is one of wheels that slip, without fixes, too; what lasts
 #: for longer may be right, and the state wrong
 LONGEST_SLIP = 5.0
+#: s for which a speed has to be far off before it is no part of the way between fixes: a single one makes no way, and
+#: ways that begin anew all the time never show that wheels turn by a tenth too fast
+SHORTEST_SLIP = 0.25
 #: multiple of the claimed variance that counts as noise where FAR is judged, however large it has been seen to be:
 #: three times the sigma, as the prior of a scale has it. More is slip or another fault, and makes none fit
 LARGEST_CLAIM = 9.0
@@ -118,7 +121,10 @@ def judge(mem, r, at, n, dimensions):
         if _is_elsewhere(mem, own, time, squared, expected, confirmed):
             mem[own + Scale.TIME] = time
             return 1.0, 1.0, NEVER
-    learn_changes(mem, own, time, squared, claimed, variance, dimensions, 1.0 / density)
+    if slips:  # which is no noise
+        mem[own + Scale.TIME] = time
+    else:
+        learn_changes(mem, own, time, squared, claimed, variance, dimensions, 1.0 / density)
     factor = max(scale(mem, own), 1.0) + unknown / claimed
     if makes_way(kind):  # one by one each is judged by what it claims itself
         expected = variance + noise
@@ -128,7 +134,7 @@ def judge(mem, r, at, n, dimensions):
         if other:  # no slip lasts for so long
             mem[own + Seen.FITTED] = 0.0
             way.forget(mem, own)
-        elif slips and of_velocity and kind != Kind.VELOCITY:
+        elif slips and of_velocity and kind != Kind.VELOCITY and time - mem[own + Seen.FITTED] > SHORTEST_SLIP:
             way.interrupt(mem, own)
         if slips or other:
             return factor, density, NEVER
