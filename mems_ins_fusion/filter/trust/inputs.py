@@ -20,9 +20,12 @@ from .standstill import SLOWEST_TOLD
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
 #: Weighted down it would still pull, each time.
 FAR = 10.0
-#: the same of one that has fitted a moment ago: wheels that begin to slip, iron beside the way, and reflections that
-#: take a further receiver away. By chance it happens less than once in an hour with a hundred speeds in a second
-DISTURBED = 5.0
+#: the same of one that has fitted a moment ago, as wheels that begin to slip. By chance it happens less than once in an
+#: hour with a hundred speeds in a second
+SLIPPED = 5.0
+#: the same of a magnetic field, which iron beside the way disturbs every day, and of a further receiver, which
+#: reflections take away
+DISTURBED = 4.0
 #: m/s, that a speed is believed at most before its way has been compared with that of the fixes, whatever it claims
 FIRST_SIGMA = 0.1
 #: rad, the same of a heading: antennas that are exchanged, a compass beside iron
@@ -104,16 +107,17 @@ def judge(mem, r, at, n, dimensions):
     before = max(scale(mem, own), 1.0)
     unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
     least = LARGEST_NOISE if of_velocity else LARGEST_HEADING_NOISE
-    # iron beside the way lasts, and would pass for noise
-    largest = claimed if kind == Kind.MAGNETIC else max(LARGEST_CLAIM * claimed, least**2)
+    largest, far = max(LARGEST_CLAIM * claimed, least**2), SLIPPED
+    if kind == Kind.MAGNETIC:  # iron beside the way lasts, and would pass for noise
+        largest, far = claimed, DISTURBED
     noise = min(before * claimed + unknown, largest)
-    far_off = makes_way(kind) and squared > DISTURBED**2 * (variance + noise)
+    far_off = makes_way(kind) and squared > far**2 * (variance + noise)
     fitted = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < (
         LONGEST_SLIP if of_velocity else LONGEST_JUMP)
     slips = fitted and far_off  # so soon no IMU is wrong by as much
     if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance):
         squared, variance = _innovation(mem, r, at, n, dimensions)
-        far_off = squared > DISTURBED**2 * (variance + noise)
+        far_off = squared > far**2 * (variance + noise)
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
     if kind == Kind.PLACE:
         expected = variance + min(before, LARGEST_CLAIM) * claimed
