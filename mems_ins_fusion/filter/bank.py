@@ -157,7 +157,7 @@ def _start_from_fixes(memory, other, r, interval):
     other[Head.FORGOTTEN] = max(other[Head.FORGOTTEN], other[start + Nav.TIME])  # a late fix must not undo the start
     for j in range(k + 1, newest + 1):
         advance(other, j)
-    other[r + Hypothesis.STARTS], other[r + Hypothesis.FITS] = 0.0, 1.0
+    other[r + Hypothesis.STARTS] = 0.0
     behind = hypotheses.most_behind(memory, memory[r + Nav.FIX_TIME] - begun)
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
 

@@ -172,6 +172,7 @@ def start_anew(mem, r, at):
             mem[p + (n + 1) * state] = value
     take_course(mem, r, v_n, v_e, drift)
     mem[r + Nav.RECOVERIES] += 1.0
+    mem[r + Hypothesis.FITS] = 1.0
     hypotheses.claim(mem, r, hypotheses.STRAYED)
 
 
