@@ -32,10 +32,11 @@ from .memory import (
     velocity_state,
     yaw_state,
 )
-from .trust import fix_drift, hypotheses, new_start
+from .trust import fix_drift, hypotheses, new_start, straight_on
 from .trust.hypotheses import Hypothesis
 from .trust.receiver import CLAIM_CHANGE, Receiver, realised_scatter
 from .trust.scale import Scale
+from .trust.straight_on import StraightOn
 
 #: columns of the head of the first filter
 Bank = HEAD.place(
@@ -108,12 +109,20 @@ def compare(memory):
         # it takes fixes for right again: from now on it is judged by them, as the first
         other[r + Hypothesis.VARIANCE] = 0.0
         other[r + Hypothesis.SCORE] = min(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE])
-    if _is_better(memory, other, r):
+    extrapolated = straight_on.are_found(memory, r) or straight_on.are_found(other, r)
+    if extrapolated:
+        # they fit a filter that has started anew from them, from which they cannot be withdrawn
+        if other[r + Hypothesis.DOUBTS] != 0.0 and memory[Head.FORGOTTEN] > memory[r + StraightOn.SINCE]:
+            _swap(memory, other)
+        if memory[r + Hypothesis.DOUBTS] != 0.0:
+            other[r + Hypothesis.SCORE] = min(other[r + Hypothesis.SCORE],
+                                              memory[r + Hypothesis.SCORE] - hypotheses.LOST)
+    elif _is_better(memory, other, r):
         _swap(memory, other)
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
     if other[r + Nav.REFUSED] >= new_start.FEWEST_REFUSED:
         other[r + Hypothesis.FITS] = 0.0
-    if doubts and other[r + Hypothesis.FITS] != 0.0:  # it must not lose while it may still turn out to be right
+    if doubts and other[r + Hypothesis.FITS] != 0.0 and not extrapolated:  # it must not lose while it may still turn out to be right
         least = memory[r + Hypothesis.SCORE] - hypotheses.most_behind(memory, time - memory[Bank.BEGUN])
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
     lead = hypotheses.score(memory, r) - hypotheses.score(other, r)

@@ -109,6 +109,12 @@ def refuse(mem, r, at):
 
 
 @njit(_nrt=False)
+def are_found(mem, r):
+    """Whether the latest fixes are certainly extrapolated, as the filter with the state at r sees them."""
+    return mem[r + StraightOn.TOLD] != 0.0
+
+
+@njit(_nrt=False)
 def pull(mem, r, before, after):
     """Remember what a fix on the line has done to the state at r: its position and velocity before and after that."""
     if mem[r + StraightOn.NATS] > 0.0:
