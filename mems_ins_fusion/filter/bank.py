@@ -122,7 +122,8 @@ def compare(memory):
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
     if other[r + Nav.REFUSED] >= new_start.FEWEST_REFUSED:
         other[r + Hypothesis.FITS] = 0.0
-    if doubts and other[r + Hypothesis.FITS] != 0.0 and not extrapolated:  # it must not lose while it may still turn out to be right
+    # a new start must not lose while it may still turn out to be right
+    if doubts and other[r + Hypothesis.FITS] != 0.0 and not extrapolated:
         least = memory[r + Hypothesis.SCORE] - hypotheses.most_behind(memory, time - memory[Bank.BEGUN])
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
     lead = hypotheses.score(memory, r) - hypotheses.score(other, r)
@@ -181,7 +182,7 @@ def _is_better(memory, other, r):
     ahead = hypotheses.score(other, r) - hypotheses.score(memory, r)
     if other[r + Hypothesis.DOUBTS] == 0.0:
         return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)
-    return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0 and memory[r + Nav.UNSETTLED] == 0.0
+    return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0 and memory[r + Nav.TIME] > memory[r + Nav.DOUBTED_UNTIL]
             and fix_drift.are_followed(memory, r)
             and hypotheses.is_drifting(other, r))
 

@@ -80,7 +80,7 @@ class _Nav(NamedTuple):
     # whether the fixes or the IMU are wrong, see trust/contradiction.py
     SLIDING: int = column()  # NIS of the lateral constraint, mean of the last second
     USUAL_SLIDING: int = column()  # the same NIS, long-term mean: what is usual for this vehicle
-    UNSETTLED: int = column()  # s for which fixes are still used whatever their innovations
+    DOUBTED_UNTIL: int = column()  # s: until this time the IMU is not used
     # counts for messages to the user
     SIDEWAYS: int = column()  # s during which the vehicle violated the non-holonomic constraint
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong

@@ -76,9 +76,10 @@ DOUBT_TIME = 60.0
 
 @njit(_nrt=False)
 def is_doubted(mem, r, time):
-    """Whether what the fixes have shown till the state at r speaks against the IMU at `time`."""
+    """Whether what fixes and the lateral constraint have shown till the state at r speaks against the IMU at `time`, s.
+    """
     lasts = DOUBT_TIME * 2.0 ** (mem[r + Nav.STRAYED] - 1.0)
-    return mem[r + Nav.STRAYED] >= 1.0 and time - mem[r + Nav.STRAYED_TIME] < lasts
+    return time < mem[r + Nav.DOUBTED_UNTIL] or mem[r + Nav.STRAYED] >= 1.0 and time - mem[r + Nav.STRAYED_TIME] < lasts
 
 
 @njit(_nrt=False)

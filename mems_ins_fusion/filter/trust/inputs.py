@@ -76,7 +76,7 @@ def judge(mem, r, at, n, dimensions):
     of_velocity = is_of_velocity(kind)
     if _is_off(mem, r, at, n):
         if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
-            contradiction.let_fixes_decide(mem, r)
+            contradiction.let_fixes_decide(mem, r, n)
         mem[own + Seen.FITTED] = -time
     if is_contradicted(mem, r, at):
         return 1.0, ROBUST, NEVER
