@@ -15,6 +15,7 @@ from mems_ins_fusion.filter.memory import Event, Head, Nav, state_at
 from mems_ins_fusion.filter.trust import fix_drift
 from mems_ins_fusion.filter.trust.fix_drift import MEMORY, FixDrift
 from mems_ins_fusion.filter.trust.hypotheses import (
+    DIVERGES_BY,
     ENDS,
     FIXES_RIGHT,
     FIXES_WRONG,
@@ -23,6 +24,7 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     OUTLIERS,
     RANGE,
     UNDECLARED_OFFSET,
+    UNSEEN,
     Hypothesis,
     add_move,
     doubt,
@@ -90,8 +92,11 @@ def test_who_doubts_expects_them_to_go_on_being_off_as_they_were():
 
 def test_refused_fixes_are_as_likely_right_as_wrong_after_the_recovery_time():
     _, memory, _ = a_state(**{'gnss.recovery_time': 40.0})
-    nats = [most_behind(memory, since) for since in (0.0, 20.0, 40.0)]
-    assert nats == pytest.approx([FIXES_RIGHT, FIXES_RIGHT / 2, 0.0])
+    nats = [most_behind(memory, since, 5.0) for since in (0.0, 20.0, 40.0)]
+    assert nats == pytest.approx([FIXES_RIGHT, FIXES_RIGHT / 2, 0.0], rel=0.01)
+    # and before that less so where they are off by more at once: a filter diverges from fix to fix
+    likely = math.exp(-FIXES_RIGHT) * (DIVERGES_BY / 100.0) ** 2 + math.exp(-UNSEEN)
+    assert most_behind(memory, 0.0, 100.0) == pytest.approx(-math.log(likely))
 
 
 def test_the_published_ellipse_reaches_to_a_filter_that_may_be_right():

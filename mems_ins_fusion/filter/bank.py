@@ -45,6 +45,7 @@ Bank = HEAD.place(
     OPEN=1,  # 1: there is a second filter
     COMPARED=1,  # s: time of the latest fix after which both were compared
     BEGUN=1,  # s: time since which the fixes are wrong, as the filter that refuses them assumes
+    JUMP=1,  # m by which the first of them was off, where the second filter has started anew from them
     SEARCHED=1,  # 1: earlier values of BEGUN have been tried (`_search_begin`)
     SCATTER=1)  # realised over claimed variance of the fixes when the second filter began, 1 at least
 
@@ -124,8 +125,8 @@ def compare(memory):
         other[r + Hypothesis.FITS] = 0.0
     # a new start must not lose while it may still turn out to be right
     if doubts and other[r + Hypothesis.FITS] != 0.0 and not extrapolated:
-        least = memory[r + Hypothesis.SCORE] - hypotheses.most_behind(memory, time - memory[Bank.BEGUN])
-        other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
+        behind = hypotheses.most_behind(memory, time - memory[Bank.BEGUN], memory[Bank.JUMP])
+        other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE] - behind)
     lead = hypotheses.score(memory, r) - hypotheses.score(other, r)
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
     if not doubts and lead > hypotheses.LOST or _agree(memory, other, r):
@@ -152,7 +153,7 @@ def _swap(memory, other):
 def _start_from_fixes(memory, other, r, interval):
     """The first filter, which has refused several fixes in a row, assumes from now on that these are wrong; the second
     starts anew from the latest of them. interval: s between the latest fix and the one before."""
-    begun = memory[r + Nav.REFUSED_SINCE]
+    begun, jump = memory[r + Nav.REFUSED_SINCE], new_start.first_misfit(memory, r)
     if memory[Bank.OPEN] == 0.0 or hypotheses.score(other, r) < hypotheses.score(memory, r):
         oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
         if _refuse_since(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
@@ -160,7 +161,7 @@ def _start_from_fixes(memory, other, r, interval):
     _swap(memory, other)
     begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTED) * memory[Head.RECOVERY_TIME])
     memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.SEARCHED] = 1.0, begun, 1.0
-    memory[Bank.SCATTER] = max(realised_scatter(memory, r), 1.0)
+    memory[Bank.SCATTER], memory[Bank.JUMP] = max(realised_scatter(memory, r), 1.0), jump
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)
     other[start + Hypothesis.STARTS] = 1.0
@@ -168,7 +169,7 @@ def _start_from_fixes(memory, other, r, interval):
     for j in range(k + 1, newest + 1):
         advance(other, j)
     other[r + Hypothesis.STARTS] = 0.0
-    behind = hypotheses.most_behind(memory, memory[r + Nav.FIX_TIME] - begun)
+    behind = hypotheses.most_behind(memory, memory[r + Nav.FIX_TIME] - begun, jump)
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
 
 
@@ -182,8 +183,8 @@ def _is_better(memory, other, r):
     ahead = hypotheses.score(other, r) - hypotheses.score(memory, r)
     if other[r + Hypothesis.DOUBTS] == 0.0:
         return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)
-    return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0 and memory[r + Nav.TIME] > memory[r + Nav.DOUBTED_UNTIL]
-            and fix_drift.are_followed(memory, r)
+    return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0
+            and memory[r + Nav.TIME] > memory[r + Nav.DOUBTED_UNTIL] and fix_drift.are_followed(memory, r)
             and hypotheses.is_drifting(other, r))
 
 

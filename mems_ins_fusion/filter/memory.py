@@ -83,7 +83,7 @@ class _Nav(NamedTuple):
     DOUBTED_UNTIL: int = column()  # s: until this time the IMU is not used
     # counts for messages to the user
     SIDEWAYS: int = column()  # s during which the vehicle violated the non-holonomic constraint
-    SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
+    DOUBTED: int = column()  # s for which the IMU was not used after the constraint had contradicted it
     RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
     RECOVERIES: int = column()  # restarts from fixes that had been refused
     MECHANISMS: int = column(176)  # room for the columns that other files declare (`ROW`)

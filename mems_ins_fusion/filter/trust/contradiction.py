@@ -51,13 +51,14 @@ def slides(mem, r, innovation, s, since):
 
 
 @njit(_nrt=False)
-def unsettle(mem, r, n, innovation, since):
+def unsettle(mem, r, n, innovation):
     """The IMU is not believed for DOUBTED_TIME after a slide of `innovation`, m/s."""
     raise_uncertainty(mem, r, n, innovation)
-    if mem[r + Nav.TIME] >= mem[r + Nav.DOUBTED_UNTIL]:
+    time, until = mem[r + Nav.TIME], mem[r + Nav.DOUBTED_UNTIL]
+    if time >= until:
         hypotheses.claim(mem, r, hypotheses.IMU_WRONG)
-    mem[r + Nav.DOUBTED_UNTIL] = mem[r + Nav.TIME] + DOUBTED_TIME
-    mem[r + Nav.SLID] += since
+    mem[r + Nav.DOUBTED_UNTIL] = time + DOUBTED_TIME
+    mem[r + Nav.DOUBTED] += time + DOUBTED_TIME - max(until, time)
 
 
 @njit(_nrt=False)

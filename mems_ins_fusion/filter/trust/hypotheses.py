@@ -58,9 +58,14 @@ WANDERS, TURNS = 0.002, 0.002
 STRAYED = math.log(FIXES_WRONG / 50.0)
 #: and an IMU is wrong once in a hundred hours (loose mounts, kerbs, drivers that mix up axes)
 IMU_WRONG = math.log(1.0 / 3.6e5)
-#: nats by which fixes that are refused in a row are more likely wrong than those before them were: the end of a fault
-#: is as frequent as its begin, but few faults begin unseen
+#: nats by which fixes that are refused in a row are more likely wrong than the filter is: one in 90. Chosen, on rows of
+#: docs/faults.md
 FIXES_RIGHT = 4.5
+#: m by which the first of them is off at most where it is the filter that has diverged: it does so from fix to fix
+DIVERGES_BY = 10.0
+#: nats by which they are more likely wrong than those before them were, where they are off by more at once: the end of
+#: a fault is as frequent as its begin, but one in ten thousand begins unseen. Chosen
+UNSEEN = 9.0
 #: probability of a hypothesis from which on the published 95 % ellipse holds it
 POSSIBLE = 0.01
 #: sigmas of a 95 % ellipse: the root of the 95 % quantile of chi-square with 2 degrees of freedom
@@ -126,11 +131,12 @@ def score(row, r):
 
 
 @njit(_nrt=False)
-def most_behind(mem, since):
+def most_behind(mem, since, jump):
     """Nats by which a filter that starts anew from refused fixes is less likely at most than one that takes them for
     wrong, `since` s after these began: after `gnss.recovery_time` both are as likely, as a receiver is seldom off by
-    the same for so long."""
-    return FIXES_RIGHT * (1.0 - since / mem[Head.RECOVERY_TIME])
+    the same for so long. jump: m by which the first of them was off."""
+    diverged = math.exp(-FIXES_RIGHT) * min(1.0, (DIVERGES_BY / max(jump, DIVERGES_BY)) ** 2)
+    return -math.log(diverged + math.exp(-UNSEEN)) * (1.0 - since / mem[Head.RECOVERY_TIME])
 
 
 @njit(_nrt=False)
