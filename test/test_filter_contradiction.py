@@ -31,12 +31,12 @@ from mems_ins_fusion.filter.memory import (
 from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, odometry, published_covariance
 from mems_ins_fusion.filter.runs.vehicle_check import vehicle_warnings
 from mems_ins_fusion.filter.trust.contradiction import (
-    DOUBTED_TIME,
+    EXCLUDED_TIME,
+    exclude_imu,
     slides,
-    unsettle,
 )
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis, spread
-from mems_ins_fusion.filter.trust.imu_faults import is_doubted
+from mems_ins_fusion.filter.trust.imu_faults import is_contradicted
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.navigation.strapdown import to_euler
 
@@ -86,7 +86,7 @@ def test_after_a_slide_velocity_and_heading_are_as_uncertain_as_it_is_large(mech
     before = random_covariance(n, np.random.default_rng(3))
     memory[p:p + n * n] = before.ravel()
     # when the vehicle slides by 1.5 m/s at 10 m/s
-    unsettle(memory, r, n, 1.5)
+    exclude_imu(memory, r, n, 1.5)
     added = memory[p:p + n * n].reshape(n, n) - before
     # then by its square: of velocities, and of the angle whose sine it is at that speed
     expected = np.zeros(n)
@@ -94,11 +94,11 @@ def test_after_a_slide_velocity_and_heading_are_as_uncertain_as_it_is_large(mech
     expected[[names.index('v_n'), names.index('v_e')]] = 1.5**2
     expected[names.index('yaw' if mechanization == 'planar' else 'phi_d')] = 0.15**2
     np.testing.assert_allclose(added, np.diag(expected), atol=1e-12)
-    assert memory[r + Nav.DOUBTED] == DOUBTED_TIME
+    assert memory[r + Nav.EXCLUDED] == EXCLUDED_TIME
     # and the IMU is not used for some seconds
     time = memory[r + Nav.TIME]
-    assert is_doubted(memory, r, time) and is_doubted(memory, r, time + DOUBTED_TIME - STEP)
-    assert not is_doubted(memory, r, time + DOUBTED_TIME + STEP)
+    assert is_contradicted(memory, r, time) and is_contradicted(memory, r, time + EXCLUDED_TIME - STEP)
+    assert not is_contradicted(memory, r, time + EXCLUDED_TIME + STEP)
 
 
 @BOTH
@@ -160,7 +160,7 @@ class Drive:
 @BOTH
 def test_nothing_is_open_where_all_is_right(mechanization):
     config, memory, error, sigma, records = Drive().through(mechanization)
-    assert newest(memory)[Nav.DOUBTED] == 0.0
+    assert newest(memory)[Nav.EXCLUDED] == 0.0
     assert np.hypot(*sigma.T).max() < 0.5 and np.hypot(*error.T).max() < 2.0
     assert not any('sideways' in text for text in vehicle_warnings(memory, config, records))
 
@@ -171,7 +171,7 @@ def test_a_gyroscope_that_turns_away_is_seen_and_said():
     drive.samples[1500:2000, 6] += math.radians(5.0)
     config, memory, error, _, records = drive.through('planar')
     # then the fixes decide: by the IMU and the constraint it would be v w t^2 / 2 = 44 m off
-    assert newest(memory)[Nav.DOUBTED] > 1.0
+    assert newest(memory)[Nav.EXCLUDED] > 1.0
     assert np.hypot(*error.T).max() < 6.0 and np.hypot(*error[-500:].T).max() < 2.0
     assert any('sideways' in text for text in vehicle_warnings(memory, config, records))
 
@@ -183,7 +183,7 @@ def test_how_long_an_imu_was_contradicted_is_counted_once_whatever_comes_late():
         drive = Drive()
         drive.samples[1500:2000, 6] += math.radians(5.0)
         _, memory, *_ = drive.through('planar', late)
-        counted.append(newest(memory)[Nav.DOUBTED])
+        counted.append(newest(memory)[Nav.EXCLUDED])
     # then it is the time that it was not used for
     assert 10.0 <= counted[0] < 30.0 and counted[1] == pytest.approx(counted[0], rel=0.2)
 
@@ -194,7 +194,7 @@ def test_where_each_fix_is_believed_nothing_is_decided_against_the_imu():
     drive.samples[1500:2000, 6] += math.radians(5.0)
     _, memory, *_ = drive.through('planar', **{'gnss.gate_probability': 1.0, 'gnss.robust_sigma': 0.0})
     # then the misfit stays in what it measures: what adapted to it would hide its cause
-    assert newest(memory)[Nav.DOUBTED] == 0.0
+    assert newest(memory)[Nav.EXCLUDED] == 0.0
 
 
 def as_quiet_as_at_rest(mechanization, seconds, off, velocity=(0.0, 0.0, 0.0)):

@@ -9,7 +9,7 @@ import numpy as np
 from ...navigation.frames import FLU_TO_FRD, rotation_from_rpy
 from ..config import FilterConfig
 from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index, newest_row, variance_factor
-from ..trust.white_noise import FAR_MORE, White
+from ..trust.white_noise import NOTEWORTHY, White
 
 MOUNTING_STATES = 'mounting_yaw', 'mounting_pitch'
 FASTEST_BACKWARDS = 8.0  # m/s, largest speed of a car in reverse
@@ -59,16 +59,16 @@ def vehicle_warnings(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray
         if fastest > FASTEST_BACKWARDS:
             texts.append(f'{topic}: the vehicle seems to go backwards at {fastest:.1f} m/s: if it does not, the IMU is '
                          'mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
-    sideways, doubted = float(row[Nav.SIDEWAYS]), float(row[Nav.DOUBTED])
+    sideways, excluded = float(row[Nav.SIDEWAYS]), float(row[Nav.EXCLUDED])
     if sideways > LONGEST_SIDEWAYS:
         texts.append(f'the vehicle went sideways for {sideways:.0f} s, against vehicle.non_holonomic, '
                      'which was not used then: a boat needs config/boat.yaml, a robot that turns on the spot '
                      'config/robot.yaml')
-    if doubted > 0.0:
+    if excluded > 0.0:
         texts.append(f'{topic}: it showed a sideways motion that is unusual for this vehicle: the vehicle slid, or the '
-                     f'IMU was wrong. It was not used for {doubted:.0f} s')
+                     f'IMU was wrong. It was not used for {excluded:.0f} s')
     if memory[White.SHAKEN] > LONGEST_SHAKEN:
-        texts.append(f'{topic}: for minutes the noise of the gyroscopes is more than {FAR_MORE:g} times '
+        texts.append(f'{topic}: for minutes the noise of the gyroscopes is more than {NOTEWORTHY:g} times '
                      'gyroscope.noise_density: the vehicle vibrates faster than the IMU samples. The filter uses the '
                      'larger noise (imu.adapt_noise); a soft mount, a higher sampling rate or the low pass of the IMU '
                      'reduce it')
