@@ -71,9 +71,7 @@ class _Nav(NamedTuple):
     DIVERGENCES: int = column()  # new starts from refused fixes within a short time (new_start.AGAIN_WITHIN),
     DIVERGENCE_TIME: int = column()  # and the time of the last one
     # consistency of the innovations with the covariance, see trust/receiver.py
-    SLOW_N: int = column()  # low-passed whitened innovations of the fixes, and their variance were they white
-    SLOW_E: int = column()
-    SLOW_VARIANCE: int = column()
+    LONG_PASSED: int = column(3)  # low-passed whitened innovations of the fixes, and their variance were they white
     VARIANCE_FACTOR: int = column()  # realised over expected variance of these innovations; below 1 it counts as 1
     CLAIM_LEVEL: int = column()  # mean logarithm of the claimed variance, m^2
     LASTING: int = column()  # variance of the receiver's slow errors, m^2, which the estimated position contains

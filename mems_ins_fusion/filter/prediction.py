@@ -58,6 +58,8 @@ GAP_TILT = 0.1
 LONGEST_BRIDGE = 2.0
 #: rad, standard deviation of a heading that is uniformly distributed over the circle
 UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)
+#: rad (3 deg), standard deviation of roll and pitch that are not known: slopes of roads. Chosen, not measured
+UNKNOWN_TILT_SIGMA = 0.05
 #: dt over the correlation time up to which the series in `_series` equals the exponential to rounding
 SERIES = 0.01
 #: rad of latitude (13 m): after a move of this size the radii are computed anew, which keeps the scales accurate to

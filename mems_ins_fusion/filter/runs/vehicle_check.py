@@ -8,12 +8,12 @@ import numpy as np
 
 from ...navigation.frames import FLU_TO_FRD, rotation_from_rpy
 from ..config import FilterConfig
+from ..constraints import STILL_SPEED
 from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index, newest_row, variance_factor
 from ..trust.white_noise import NOTEWORTHY, White
 
 MOUNTING_STATES = 'mounting_yaw', 'mounting_pitch'
 FASTEST_BACKWARDS = 8.0  # m/s, largest speed of a car in reverse
-AT_REST = 0.3  # m/s, speed below which the vehicle stands
 #: standard deviations by which an estimated mounting has to differ from the parameters to be reported: of the estimate
 #: for the advice of `found_mounting`, of imu.mounting_sigma for a warning
 MOUNTING_SIGMAS = 3.0
@@ -122,7 +122,7 @@ def found_time_offsets(memory: np.ndarray, config: FilterConfig) -> dict[int, st
 def _is_adrift(fixes: np.ndarray) -> bool:
     """Whether ADRIFT refused fixes in a row have moved on while the filter was at rest."""
     refused = fixes[:, Event.VERDICT] == Verdict.REFUSED
-    refused &= np.hypot(fixes[:, Event.V_N], fixes[:, Event.V_E]) < AT_REST
+    refused &= np.hypot(fixes[:, Event.V_N], fixes[:, Event.V_E]) < STILL_SPEED
     off = np.hypot(fixes[:, Event.Z_N], fixes[:, Event.Z_E])
     gone = [np.ptp(off[k - ADRIFT:k]) for k in range(ADRIFT, len(fixes) + 1) if refused[k - ADRIFT:k].all()]
     return max(gone, default=0.0) > FARTHEST_ADRIFT
