@@ -108,6 +108,7 @@ def _apply_fix(mem, r, at):
 def _apply_input(mem, r, at, sample):
     """Check a measurement that is not a fix of the main receiver, and correct the state at r with it."""
     n, h = begin_update(mem, r)
+    before = hypotheses.position_and_velocity(mem, r)
     kind, c = mem[at + Event.KIND], _note_state(mem, r, at)
     dimensions = _observe(mem, r, at, h, n, c, sample)
     if kind == Kind.PRESSURE:
@@ -129,6 +130,7 @@ def _apply_input(mem, r, at, sample):
     if verdict != Verdict.REFUSED:
         end_update(mem, r)
         set_radii(mem, r)
+        hypotheses.move_offset(mem, r, before)
         if kind == Kind.SPEED or kind == Kind.TWIST:
             note_speed(mem, r, at)
     repeats.note(mem, r, at)

@@ -45,7 +45,6 @@ Bank = HEAD.place(
     OPEN=1,  # 1: there is a second filter
     COMPARED=1,  # s: time of the latest fix after which both were compared
     WRONG_SINCE=1,  # s: time since which the fixes are wrong, as the filter that refuses them assumes
-    JUMP=1,  # m by which the first of them was off, where the second filter has started anew from them
     SEARCHED=1,  # 1: earlier values of BEGUN have been tried (`_search_begin`)
     SCATTER=1)  # realised over claimed variance of the fixes when the second filter began, 1 at least
 
@@ -116,8 +115,7 @@ def compare(memory):
         if other[r + Hypothesis.FIXES_WRONG] != 0.0 and memory[Head.FORGOTTEN] > memory[r + Extrapolation.SINCE]:
             _swap(memory, other)
         if memory[r + Hypothesis.FIXES_WRONG] != 0.0:
-            other[r + Hypothesis.SCORE] = min(other[r + Hypothesis.SCORE],
-                                              memory[r + Hypothesis.SCORE] - hypotheses.LOST_NATS)
+            other[r + Hypothesis.SCORE] = min(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE])
     elif _is_better(memory, other, r):
         _swap(memory, other)
     fixes_wrong = memory[r + Hypothesis.FIXES_WRONG] != 0.0
@@ -125,7 +123,7 @@ def compare(memory):
         other[r + Hypothesis.CONSISTENT] = 0.0
     # a new start must not lose while it may still turn out to be right
     if fixes_wrong and other[r + Hypothesis.CONSISTENT] != 0.0 and not extrapolated:
-        behind = hypotheses.restart_penalty(memory, time - memory[Bank.WRONG_SINCE], memory[Bank.JUMP])
+        behind = hypotheses.restart_penalty(memory, time - memory[Bank.WRONG_SINCE])
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE] - behind)
     lead = hypotheses.score(memory, r) - hypotheses.score(other, r)
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
@@ -153,7 +151,7 @@ def _swap(memory, other):
 def _start_from_fixes(memory, other, r, interval):
     """The first filter, which has refused several fixes in a row, assumes from now on that these are wrong; the second
     starts anew from the latest of them. interval: s between the latest fix and the one before."""
-    begun, jump = memory[r + Nav.REFUSED_SINCE], new_start.first_misfit(memory, r)
+    begun = memory[r + Nav.REFUSED_SINCE]
     if memory[Bank.OPEN] == 0.0 or hypotheses.score(other, r) < hypotheses.score(memory, r):
         oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
         if _refuse_since(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
@@ -161,7 +159,7 @@ def _start_from_fixes(memory, other, r, interval):
     _swap(memory, other)
     begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTING_SHARE) * memory[Head.RECOVERY_TIME])
     memory[Bank.OPEN], memory[Bank.WRONG_SINCE], memory[Bank.SEARCHED] = 1.0, begun, 1.0
-    memory[Bank.SCATTER], memory[Bank.JUMP] = max(realised_scatter(memory, r), 1.0), jump
+    memory[Bank.SCATTER] = max(realised_scatter(memory, r), 1.0)
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)
     other[start + Hypothesis.START_DUE] = 1.0
@@ -169,7 +167,7 @@ def _start_from_fixes(memory, other, r, interval):
     for j in range(k + 1, newest + 1):
         advance(other, j)
     other[r + Hypothesis.START_DUE] = 0.0
-    behind = hypotheses.restart_penalty(memory, memory[r + Nav.FIX_TIME] - begun, jump)
+    behind = hypotheses.restart_penalty(memory, memory[r + Nav.FIX_TIME] - begun)
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
 
 

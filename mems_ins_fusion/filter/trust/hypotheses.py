@@ -60,14 +60,9 @@ OFFSET_WALK, DRIFT_WALK = 0.002, 0.002
 DIVERGENCE_PRIOR = math.log(FAULT_RATE / 50.0)
 #: nats, prior: an IMU fails once in a hundred hours (loose mounts, kerbs, drivers that mix up axes)
 IMU_FAULT_PRIOR = math.log(1.0 / 3.6e5)
-#: nats by which fixes that are refused in a row are more likely wrong than the filter is: one in 90. Chosen, on rows of
-#: docs/faults.md
+#: nats: a filter that starts anew from refused fixes is less likely by this at first. It says that the fixes before
+#: were wrong: a fault ends as often as it begins, but few begin unnoticed
 RESTART_PENALTY = 4.5
-#: m by which the first of them is off at most where it is the filter that has diverged: it does so from fix to fix
-DIVERGES_BY = 10.0
-#: nats by which they are more likely wrong than those before them were, where they are off by more at once: the end of
-#: a fault is as frequent as its begin, but one in ten thousand begins unseen. Chosen
-UNSEEN_PENALTY = 9.0
 #: least probability of a hypothesis that the published 95 % ellipse holds
 LEAST_PROBABILITY = 0.01
 #: sigmas of a 95 % ellipse: the root of the 95 % quantile of chi-square with 2 degrees of freedom
@@ -133,12 +128,11 @@ def score(row, r):
 
 
 @njit(_nrt=False)
-def restart_penalty(mem, since, jump):
+def restart_penalty(mem, since):
     """Nats by which a filter that starts anew from refused fixes is less likely at most than one that takes them for
     wrong, `since` s after these began: after `gnss.recovery_time` both are as likely, as a receiver is seldom off by
-    the same for so long. jump: m by which the first of them was off."""
-    diverged = math.exp(-RESTART_PENALTY) * min(1.0, (DIVERGES_BY / max(jump, DIVERGES_BY)) ** 2)
-    return -math.log(diverged + math.exp(-UNSEEN_PENALTY)) * (1.0 - since / mem[Head.RECOVERY_TIME])
+    the same for so long."""
+    return RESTART_PENALTY * (1.0 - since / mem[Head.RECOVERY_TIME])
 
 
 @njit(_nrt=False)
@@ -241,6 +235,14 @@ def position_and_velocity(mem, r):
     return (mem[r + Nav.LATITUDE] - mem[x] * mem[r + Nav.NORTH_SCALE],
             mem[r + Nav.LONGITUDE] - mem[x + 1] * mem[r + Nav.EAST_SCALE],
             mem[r + Nav.V_N] - mem[x + k], mem[r + Nav.V_E] - mem[x + k + 1])
+
+
+@njit(_nrt=False)
+def move_offset(mem, r, before):
+    """A correction that is not a fix has moved the state at r from where `position_and_velocity` had it `before`: by
+    that, wrong fixes are off from another position and velocity."""
+    if mem[r + Hypothesis.FIXES_WRONG] != 0.0 and mem[r + Hypothesis.VARIANCE] != 0.0:
+        add_move(mem, r, r + Hypothesis.OFFSET, before, position_and_velocity(mem, r))
 
 
 @njit(_nrt=False)

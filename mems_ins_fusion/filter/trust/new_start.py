@@ -123,15 +123,6 @@ def _line(mem, r):
 
 
 @njit(_nrt=False)
-def first_misfit(mem, r):
-    """How far the first of the fixes refused in a row was off, m, as their line has it."""
-    slope_n, slope_e, _, _ = _line(mem, r)
-    n = mem[r + Nav.REFUSED]
-    t = mem[r + Nav.SUM_T] / n
-    return math.hypot(mem[r + Nav.SUM_N] / n - slope_n * t, mem[r + Nav.SUM_E] / n - slope_e * t)
-
-
-@njit(_nrt=False)
 def start_anew(mem, r, at):
     """Take position and velocity from the refused fixes, the heading from the course, with P in the scratch to match.
 
