@@ -360,7 +360,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # `StateLayout.rows`
     CHANNEL: int = column(6)  # `StateLayout.axes`
     AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
-    MECHANISMS: int = column(79)  # room for the columns that other files declare (`HEAD`)
+    MECHANISMS: int = column(80)  # room for the columns that other files declare (`HEAD`)
     SIZE: int = column(0)
 
 
