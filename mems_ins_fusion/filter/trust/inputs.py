@@ -82,14 +82,15 @@ def factor_and_limits(mem, r, at, n, dimensions):
     of_velocity = is_of_velocity(kind)
     if _has_wrong_displacement(mem, r, at, n):
         if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
-            contradiction.use_all_fixes(mem, r)
+            contradiction.recover_from_wrong_input(mem, r, n)
         mem[own + Seen.FITTED] = -time
     if is_contradicted(mem, r, at):
         return 1.0, 1.0, REFUSE_ALL
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
     since = time - mem[own + Scale.TIME]
-    density = _repeated(SPEED_CORRELATION if of_velocity else FIELD_CORRELATION if kind == Kind.MAGNETIC else 0.0, since)
+    correlation = SPEED_CORRELATION if of_velocity else FIELD_CORRELATION if kind == Kind.MAGNETIC else 0.0
+    density = _repeated(correlation, since)
     if ((of_velocity or kind == Kind.HEADING) and fix != 0.0 and time - fix < LONGEST_WITHOUT_FIX
             and not displacement.is_compared(mem, own)):
         first = UNCOMPARED_SIGMA
@@ -141,7 +142,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
         if other:  # no slip lasts for so long
             mem[own + Seen.FITTED] = 0.0
             displacement.forget(mem, own)
-        elif lasts and slips and kind != Kind.VELOCITY:
+        elif lasts and far_off and slips and kind != Kind.VELOCITY:
             displacement.interrupt(mem, own)
         if slips or other:
             return factor, density, REFUSE_ALL
