@@ -45,6 +45,8 @@ PRELUDE_RATE = 100.0
 #: s, by which fixes are late, which an earlier drive has found
 OFFSET = 0.05
 MODES = ('off', 'report', 'apply')
+#: s for which a node may be behind
+PATIENCE = 60.0
 #: s over which the largest part of a core is taken: many periods of `diagnosis.worker`, few ticks of the CPU time
 WINDOW = 5.0
 
@@ -85,6 +87,14 @@ class Publisher:
             message = _imu(imu, i)
             self.sent[message.header.stamp.sec, message.header.stamp.nanosec] = time.perf_counter()
             self.imu.publish(message)
+
+
+    def wait(self) -> None:
+        """Until what was published has come back: on a slow computer the node is behind."""
+        came, deadline = -1, time.perf_counter() + PATIENCE
+        while came < len(self.back) and time.perf_counter() < deadline:
+            came = len(self.back)
+            time.sleep(1.0)
 
 
 def _stamped(message, stamp: int):
@@ -177,19 +187,21 @@ def measured(recording, mode: str, seconds: float, rate: float, folder: Path) ->
                 raise SystemExit((folder / 'log').read_text())
             time.sleep(0.2)
         publisher.publish(0.0, PRELUDE, FASTER, PRELUDE_RATE)
-        time.sleep(2.0)
+        publisher.wait()
         publisher.sent.clear()
         diagnosis = _descendants(node.pid)
         before = _cpu([node.pid]), _cpu(diagnosis)
         publisher.publish(PRELUDE, PRELUDE + seconds, 1.0, rate)
         node_cpu, diagnosis_cpu = _cpu([node.pid]) - before[0], _cpu(diagnosis) - before[1]
-        time.sleep(1.0)
+        publisher.wait()
         most = share.stop()
     finally:
         node.send_signal(signal.SIGINT)
         node.wait(30.0)
         publisher.close()
     late = np.array([publisher.back[key] - sent for key, sent in publisher.sent.items() if key in publisher.back])
+    if not len(late):
+        raise SystemExit('no odometry has come back: ' + (folder / 'log').read_text())
     half, nearly_all = 1e3 * np.percentile(late, [50, 99])
     return {'half': half, 'nearly all': nearly_all, 'node': node_cpu / seconds, 'diagnosis': diagnosis_cpu / seconds,
             'most': most, 'lost': len(publisher.sent) - len(late), 'load': load}
