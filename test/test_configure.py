@@ -243,7 +243,7 @@ def test_what_the_parameters_say_is_not_said_again(late):
 
     # given nothing: the offset is named; given a wrong one: what is left of it
     nothing, _ = said()
-    assert 'early' in nothing['warning'] and 'see gnss.time_offset' in nothing['warning']
+    assert 'early' in nothing['warning'] and 'set gnss.time_offset to -' in nothing['warning']
     wrong, _ = said(**{'gnss.time_offset': -0.2})
     assert 'beside gnss.time_offset -0.2 s' in wrong['warning']
     # given the right ones there is no warning on it
