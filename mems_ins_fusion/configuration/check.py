@@ -128,7 +128,8 @@ def _check_offset(found: Mounting | None, values: dict):
         yield Finding(WARNING, 'imu/gnss', f'the fixes are {_late(lag, "gnss.time_offset", declared)} to '
                       f'{offset.lag:.3f}', seen, ('gnss.time_offset',))
     else:
-        what = f'what is left beside gnss.time_offset {declared:g} s' if declared else 'no clock offset to be seen'
+        beside = f'what is left of the time offset beside gnss.time_offset {declared:g} s'
+        what = beside if declared else 'no clock offset to be seen'
         yield Finding(INFO, 'imu/gnss', f'{what}: {round(lag.value, 3) + 0.0:.3f} +- {lag.sigma:.3f} s', seen)
     arm = [left[name] for name in ARM if left[name].sigma < VAGUE_ARM]
     if any(part.certain(SMALL_ARM, SURE) for part in arm):
