@@ -12,7 +12,6 @@ from ..evaluation.verdict import BETTER, CANNOT_TELL, NO, NOT_USABLE, SAME, WORS
 from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked
-from . import html
 from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, topics_of
 from .diagnosis import capital, changed, cost, rounded_value, this, unexplained_text
 from .effect_words import check, looks_the_same, size, what
@@ -41,8 +40,8 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, params_fil
     left = [unexplained_text(d)] if d.unexplained else []
     trust = d.trust
     lacking = d.detections['after' if d.changed else 'before'].lacking
-    grade = BAD if trust.answer == NO and not d.better else WARNING if trust.answer == NO or lacking and not d.better \
-        else GOOD
+    doubtful = trust.answer == NO or not d.better and (lacking or d.changed)
+    grade = BAD if trust.answer == NO and not d.better else WARNING if doubtful else GOOD
     settings = [name for f in checked if f.severity != INFO for name in f.settings if name not in changed(d)]
     return Answer(grade, headline(d.verdict, d.changed), [*out, *found, *to_set, *shown, *said], cost(d),
                   _steps(d, output, params_file, settings),
@@ -89,13 +88,15 @@ def _change(f: Finding, d: Diagnosis) -> str:
 
 
 def _saves(f: Finding) -> str:
-    """What it gains in metres, beside what was found before it."""
-    if f.saves is None:
+    """What it gains beside what was found before it: in metres it would stand beside other ones of other outages."""
+    if f.saves is None or not f.saves[1]:
         return ''
     duration, before, after = f.saves
-    one, other = (html.number(v, 2) for v in (before, after))
-    return (f' When it was added: {other} m instead of {one} m (mean of the largest error in {duration:g} s without '
-            'fixes).')
+    part = round(100 * (1 - after / before))
+    if not part:
+        return ''
+    return (f' When it was added, the error in {duration:g} s without fixes became {abs(part)} % '
+            f'{"smaller" if part > 0 else "larger"}.')
 
 
 def shown_text(detection: Detection) -> str:
