@@ -161,7 +161,7 @@ def _steps(d: Diagnosis, output: str, params_file: str, settings: list[str]) -> 
     if settings and not d.better:
         steps.append(Step(f'Set {" and ".join(settings)} as configure writes {"them" if settings[1:] else "it"}, and '
                           'diagnose again.'))
-    elif not d.changed and d.verdict.answer == SAME and params_file != YOURS:
+    elif not d.changed and d.verdict.answer in (SAME, WORSE) and params_file != YOURS:
         steps.append(Step('Drive on with your parameters:', 'python -m mems_ins_fusion fusion_node --ros-args '
                           f'--params-file {shlex.quote(params_file)}'))
     elif not d.changed and d.verdict.answer == CANNOT_TELL and d.verdict.changes:
