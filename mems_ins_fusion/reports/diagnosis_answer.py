@@ -38,15 +38,21 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, params_fil
                     for wanted in (True, False))
     tried = [tried_text(f) for f in d.findings if not f.added]
     left = [unexplained_text(d)] if d.unexplained else []
-    trust = d.trust
-    lacking = d.detections['after' if d.changed else 'before'].lacking
-    doubtful = trust.answer == NO or not d.better and (lacking or d.changed)
-    grade = BAD if trust.answer == NO and not d.better else WARNING if doubtful else GOOD
+    lacking = bool(d.detections['after' if d.changed else 'before'].lacking)
     settings = [name for f in checked if f.severity != INFO for name in f.settings if name not in changed(d)]
-    return Answer(grade, headline(d.verdict, d.changed), [*out, *found, *to_set, *shown, *said], cost(d),
+    return Answer(_grade(d, lacking), headline(d.verdict, d.changed), [*out, *found, *to_set, *shown, *said], cost(d),
                   _steps(d, output, params_file, settings),
-                  trust_text(trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
+                  trust_text(d.trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
                   [*tried, *left, *d.remarks], because(d.verdict))
+
+
+def _grade(d: Diagnosis, lacking: bool) -> str:
+    """lacking: whether innovations show that something is wrong. A file that is changed without a proven gain is no
+    good news."""
+    untrue = d.trust.answer == NO
+    if d.better:
+        return WARNING if untrue else GOOD
+    return BAD if untrue else WARNING if lacking or d.changed else GOOD
 
 
 def not_usable(found: list[Checked], values: dict) -> tuple[Verdict, Answer]:
