@@ -15,11 +15,12 @@ from ..diagnosis.tracing import Candidate
 from ..evaluation.verdict import Verdict
 from ..parameters.params_file import yaml_value
 from ..parameters.table import parameters_of
+from ..recordings.findings import checked_text
 from ..recordings.sketch import sketch
 from ..results import plain
 from . import diagnosis_figures as plots
 from . import html
-from .answer import Answer, checked_text, topics_of
+from .answer import Answer, topics_of
 from .charts import charts
 from .colours import MODEL_NAMES
 from .layers import diagnosed_truth, diagnosis_layers, middle

@@ -12,7 +12,8 @@ from ..evaluation.verdict import BETTER, CANNOT_TELL, NO, NOT_USABLE, SAME, WORS
 from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked
-from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, topics_of
+from ..recordings.findings import checked_text
+from .answer import BAD, GOOD, WARNING, Answer, Step, topics_of
 from .diagnosis import capital, changed, cost, rounded_value, this, unexplained_text
 from .effect_words import check, looks_the_same, size, what
 from .verdict import because, change_text, trust_text
