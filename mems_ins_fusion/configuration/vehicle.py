@@ -63,13 +63,13 @@ def assess_vehicle(imu: ImuSamples, still: np.ndarray, found: Mounting | None, f
 
 def standstills_show(imu: ImuSamples, fixes: Fixes | None) -> tuple[bool, float] | None:
     """Whether standstills can be told from motion by the scatter of `imu` (SI units), and the share of the seconds in
-    motion that are slow and as quiet as rest (`Vehicle.alike`); None where there is no motion.
+    motion that are slow and as quiet as rest; None where there is no standstill beside motion.
 
     fixes: usable ones; None where there are none."""
     if len(imu) < 2 or not np.median(np.diff(imu.stamp)) > 0:
         return None
-    alike = _scatter(imu, find_standstill(imu, fixes), fixes)[-1]
-    return None if alike is None else (alike < LARGEST_ALIKE, alike)
+    rest, *_, alike = _scatter(imu, find_standstill(imu, fixes), fixes)
+    return None if rest is None else (alike < LARGEST_ALIKE, alike)
 
 
 def _ahead(found: Mounting) -> float:
