@@ -246,10 +246,14 @@ def beside_by_hand(found: dict[str, Way], bag: Path, folder: Path) -> str:
              '--overwrite']):
         return '- | -'
     verdict = json.loads((folder / 'report.json').read_text())['verdict']
-    rows = [f'{change["duration_s"]:g} s: {number(change["before_m"], 2)}, {number(change["after_m"], 2)} m' + (
+    rows = [f'{_which(change)}: {number(change["before_m"], 2)}, {number(change["after_m"], 2)} m' + (
         '' if change['interval_m'] is None else ' ({} to {})'.format(*(number(m, 2) for m in change['interval_m'])))
-        for change in verdict['changes'] if change['duration_s']]
+        for change in verdict['changes'] if change['duration_s'] or change['every_s']]
     return f'{verdict["answer"]} | {"; ".join(rows)}'
+
+
+def _which(change: dict) -> str:
+    return f'{change["duration_s"]:g} s' if change['duration_s'] else f'fixes each {change["every_s"]:g} s'
 
 
 def away(values: dict, offset: float, arm, rotation: np.ndarray, scales=(0.0, 0.0)) -> dict[str, float]:
@@ -325,7 +329,7 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
     print('\n| drive | do the ways agree | sigmas by which two ways lie apart, at most |\n|---|---|---|')
     for name, said in agreed.items():
         print(f'| {name} | {said} |')
-    print('\n| drive | configure\'s file instead of by hand | without fixes: by hand, configure\'s file '
+    print('\n| drive | configure\'s file instead of by hand | without fixes, with few: by hand, configure\'s file '
           '(95 % interval of the difference) |\n|---|---|---|')
     for name, said in beside.items():
         print(f'| {name} | {said} |')

@@ -155,6 +155,10 @@ def test_the_words_hold_the_interval_and_its_unit():
     assert change.turned.before == change.after and change.turned.interval() == pytest.approx((-high, -low))
     content = verdict_json(decide([change]))
     assert content['answer'] in ('better', 'cannot_tell') and content['because']
+    # errors with all fixes and with few are two rows, which a program can tell apart
+    of_fixes = [change_with_fixes(np.arange(9.0), np.ones(9), every=every) for every in (0.0, 6.0)]
+    assert [(c['duration_s'], c['every_s']) for c in verdict_json(decide([change, *of_fixes]))['changes']] == [
+        (change.duration, 0.0), (None, 0.0), (None, 6.0)]
 
 
 def test_a_headline_does_not_contradict_the_file():
