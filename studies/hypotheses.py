@@ -4,7 +4,7 @@
                                  [--verbose] [--output FILE.md]
 
 A member is a copy of the filter's memory whose own checks are off (no gate, no Huber weights), and says whom it does
-not believe since t0: nobody (*nominal*), the *fixes*, or the *IMU*; or that the state had *strayed*, and began anew
+not believe since t0: nobody (*nominal*), the *fixes*, or the *IMU*; or that the state had *diverged*, and began anew
 from a line through the latest fixes. Its score is the logarithm of the prior (rates below) and of the likelihood of
 all that has come since: fixes, lateral constraints, standstills. In an undisturbed drive there is one member. A fix
 that fits it too badly, fixes that go straight on to the centimetre, or constraints that do not fit open a dispute;
@@ -59,7 +59,7 @@ IMU_WRONG = 1 / 3.6e5
 ENDS = 1 / 20.0
 #: 1/s: faults come in clusters: so often in the LATELY s after one has ended
 AGAIN, LATELY = 1 / 100.0, 100.0
-#: of those who do not believe the fixes, the part that has strayed itself
+#: of those who do not believe the fixes, the part that has diverged itself
 STRAYED = 0.05
 #: share of the fixes that are off for themselves
 OUTLIERS = 0.01
@@ -457,7 +457,7 @@ class Bank(replay.Replay):
                            past.score + _rate(IMU_WRONG, past.time - member.imu_ended),
                            imu_wrong=True, last=past.time, tried=self.samples[self.place - 1, 0], usual=member.usual,
                            fixes_ended=member.fixes_ended)
-            child.row[[Nav.STRAYED, Nav.STRAYED_TIME]] = 10.0, child.row[Nav.TIME]  # prediction goes straight on
+            child.row[[Nav.DIVERGENCES, Nav.DIVERGENCE_TIME]] = 10.0, child.row[Nav.TIME]  # prediction goes straight on
             at = past.place
             for place, record, _ in self._since(past.place):
                 if place == self.place and not with_newest:
@@ -472,7 +472,7 @@ class Bank(replay.Replay):
         return found
 
     def begin_anew(self, time: float) -> None:
-        """Who does not believe the fixes may have strayed; an IMU that was wrong may be right again."""
+        """Who does not believe the fixes may have diverged; an IMU that was wrong may be right again."""
         for member in list(self.members):
             if member.wrong is not None and member is self.best and time - member.tried > BEGIN_ANEW:
                 member.tried = time
@@ -481,17 +481,17 @@ class Bank(replay.Replay):
                 member.tried = time
                 child = member.copy(name='IMU right again', imu_wrong=False, past=(), imu_ended=time,
                                     score=member.score + math.log(ENDS * TRY_AGAIN))
-                child.row[Nav.STRAYED] = 0.0
+                child.row[Nav.DIVERGENCES] = 0.0
                 self.take_course(child)
                 self.members.append(child)
 
-    def strayed(self, member: Member) -> list[Member]:
+    def diverged(self, member: Member) -> list[Member]:
         """As `member`, with position and velocity of a line through the fixes of the last two seconds."""
         now = self.fixes[-1][1][Event.TIME]
         used = np.array([record for _, record, _ in self.fixes if now - record[Event.TIME] < 2.1])
         if len(used) < 3 or self.config.mechanization != STRAPDOWN:
             return []
-        child = member.copy(name='strayed', wrong=None, past=(), imu_ended=now, score=member.score + math.log(STRAYED))
+        child = member.copy(name='diverged', wrong=None, past=(), imu_ended=now, score=member.score + math.log(STRAYED))
         row, n, s = child.row, self.layout.n_navigation, Strapdown
         time = used[:, Event.TIME] - row[Nav.TIME]
         design = np.column_stack([np.ones(len(time)), time])

@@ -21,8 +21,8 @@ def test_a_constant_is_changed_wherever_it_is_used():
 from mems_ins_fusion.filter import bank, prediction
 from mems_ins_fusion.filter.trust import new_start
 from ablation import lay_over
-lay_over({'prediction.GAP_ACCELERATION': 9.0, 'bank.BACK[1]': 0.5})
-print(prediction.GAP_ACCELERATION, new_start.GAP_ACCELERATION, *bank.BACK)
+lay_over({'prediction.GAP_ACCELERATION': 9.0, 'bank.EARLIER[1]': 0.5})
+print(prediction.GAP_ACCELERATION, new_start.GAP_ACCELERATION, *bank.EARLIER)
 """) == ['9.0', '9.0', '2.0', '0.5', '8.0']
 
 

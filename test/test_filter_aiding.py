@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from mems_ins_fusion.filter.advance import TAKEN
 from mems_ins_fusion.filter.measurements.time_offset import AVERAGED
 from mems_ins_fusion.filter.memory import INPUT_SIZE, NAV, PLANAR, Event, Head, Kind, Nav, Verdict, views
-from mems_ins_fusion.filter.trust import way
+from mems_ins_fusion.filter.trust import displacement
 from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, Seen, scale
 
 DT = 0.01
@@ -183,7 +183,7 @@ SENSORS = {Kind.SPEED: ('speed', [0.04]), Kind.VELOCITY: ('antenna_velocity', [0
 def one_deviation_tells_nothing_new(config, memory):
     """Scales are known and about 1, ways have been compared with those of fixes, the last message was long ago."""
     seen = views(memory)[2][0][-INPUT_SIZE * config.layout.inputs:].reshape(-1, INPUT_SIZE)
-    seen[:, [Scale.LOG, Scale.KNOWN, Scale.TIME, Seen.COMPARED]] = -0.05, PRIOR, DT - 10.0, 1.0
+    seen[:, [Scale.LOG, Scale.REDUCED, Scale.TIME, Seen.COMPARED]] = -0.05, PRIOR, DT - 10.0, 1.0
 
 
 @EACH
@@ -366,5 +366,5 @@ def test_a_wheel_speed_in_kilometres_an_hour_does_not_move_a_velocity_that_fixes
     assert math.hypot(row[Nav.V_N] - velocity[0], row[Nav.V_E] - velocity[1]) < 0.3
     # and it is seen how far off it is: 26 of 10 m/s
     seen = statistics_at(config, Kind.SPEED)
-    assert way.is_contradicted(row, seen, Kind.SPEED, way.TOLERATED)
+    assert displacement.is_contradicted(row, seen, Kind.SPEED, displacement.TOLERATED_SHARE)
     assert row[seen + Seen.SHARE] == pytest.approx(2.6, abs=0.1)

@@ -31,11 +31,11 @@ from mems_ins_fusion.filter.memory import (
 from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, odometry, published_covariance
 from mems_ins_fusion.filter.runs.vehicle_check import vehicle_warnings
 from mems_ins_fusion.filter.trust.contradiction import (
-    LOOSENED,
-    UNSETTLED_TIME,
-    loosen,
+    INFLATED_NIS,
+    USE_ALL_TIME,
+    inflate_to_fit,
+    raise_uncertainty,
     slides,
-    unsettle,
 )
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis, spread
 from mems_ins_fusion.navigation.earth import gravity, radii
@@ -87,7 +87,7 @@ def test_after_a_slide_velocity_and_heading_are_as_uncertain_as_it_is_large(mech
     before = random_covariance(n, np.random.default_rng(3))
     memory[p:p + n * n] = before.ravel()
     # when the vehicle slides by 1.5 m/s at 10 m/s
-    unsettle(memory, r, n, 1.5, STEP)
+    raise_uncertainty(memory, r, n, 1.5, STEP)
     added = memory[p:p + n * n].reshape(n, n) - before
     # then by its square: of velocities, and of the angle whose sine it is at that speed
     expected = np.zeros(n)
@@ -95,7 +95,7 @@ def test_after_a_slide_velocity_and_heading_are_as_uncertain_as_it_is_large(mech
     expected[[names.index('v_n'), names.index('v_e')]] = 1.5**2
     expected[names.index('yaw' if mechanization == 'planar' else 'phi_d')] = 0.15**2
     np.testing.assert_allclose(added, np.diag(expected), atol=1e-12)
-    assert memory[r + Nav.UNSETTLED] == UNSETTLED_TIME and memory[r + Nav.SLID] == STEP
+    assert memory[r + Nav.USE_ALL_FIXES] == USE_ALL_TIME and memory[r + Nav.SLID] == STEP
 
 
 @BOTH
@@ -107,10 +107,10 @@ def test_a_loosened_state_fits_a_fix_that_contradicts_it(mechanization):
     # given an exact fix that is off by a normalized innovation of 50
     z = np.array([3.0, 4.0])
     z *= math.sqrt(50.0 / (z @ np.linalg.solve(before[:2, :2], z)))
-    loosen(memory, r, n, 50.0)
+    inflate_to_fit(memory, r, n, 50.0)
     after = memory[p:p + n * n].reshape(n, n)
     # then it fits as well as it has to, the sensor errors are as they were, and it is a covariance
-    assert z @ np.linalg.solve(after[:2, :2], z) == pytest.approx(LOOSENED)
+    assert z @ np.linalg.solve(after[:2, :2], z) == pytest.approx(INFLATED_NIS)
     np.testing.assert_array_equal(after[first:, first:], before[first:, first:])
     np.testing.assert_allclose(after, after.T)
     assert np.linalg.eigvalsh(after).min() > 0.0
@@ -120,7 +120,7 @@ def test_a_loosened_state_fits_a_fix_that_contradicts_it(mechanization):
 def test_one_that_fits_loosens_nothing(mechanization):
     config, memory, r = a_state(mechanization)
     before = memory.copy()
-    loosen(memory, r, config.layout.n, 0.99 * LOOSENED)
+    inflate_to_fit(memory, r, config.layout.n, 0.99 * INFLATED_NIS)
     np.testing.assert_array_equal(memory, before)
 
 

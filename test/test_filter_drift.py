@@ -100,7 +100,7 @@ def test_the_bias_that_a_sensor_was_switched_on_with_is_no_drift():
                                              ({'mechanization': 'planar'}, 'slopes are no drift')])
 def test_without_it_the_noise_is_as_configured(values, why):
     row = ended(4.0, **values)
-    assert row[Drift.RATIO] == row[GYROSCOPES] == 1.0 and not row[Drift.SEEN:Drift.SEEN + 2].any(), why
+    assert row[Drift.RATIO] == row[GYROSCOPES] == 1.0 and not row[Drift.WEIGHT:Drift.WEIGHT + 2].any(), why
 
 
 @pytest.mark.parametrize(('constraints', 'factor', 'moved', 'ratio'), [

@@ -13,23 +13,23 @@ from test_filter_contradiction import BOTH, Drive, a_state
 from mems_ins_fusion.filter.bank import Bank
 from mems_ins_fusion.filter.memory import Event, Head, Nav, state_at
 from mems_ins_fusion.filter.trust import fix_drift
-from mems_ins_fusion.filter.trust.fix_drift import MEMORY, FixDrift
+from mems_ins_fusion.filter.trust.fix_drift import FORGETTING_TIME, FixDrift
 from mems_ins_fusion.filter.trust.hypotheses import (
-    ENDS,
-    FIXES_RIGHT,
-    FIXES_WRONG,
-    JUMPS,
-    LASTING,
-    OUTLIERS,
-    RANGE,
+    FAULT_END_RATE,
+    FAULT_RATE,
+    JUMP_RATE,
+    LOG_RANGE,
+    OUTLIER_SHARE,
+    RESTART_PENALTY,
+    SHORTEST_CORRELATION,
     UNDECLARED_OFFSET,
     Hypothesis,
     add_move,
-    doubt,
+    begin_refusing,
     is_drifting,
-    judge,
-    most_behind,
     reach,
+    restart_penalty,
+    score_fix,
 )
 from mems_ins_fusion.filter.trust.new_start import are_refused
 from mems_ins_fusion.filter.trust.receiver import Receiver
@@ -38,17 +38,17 @@ S = np.array([[4.0, 1.0], [1.0, 9.0]])
 
 
 def judged(memory, r, z, time, scatter=2.25):
-    """What `judge` makes of a fix that is z (2,) m off at `time`, s: whether it is believed, and the nats for it."""
+    """What `score_fix` makes of a fix that is z (2,) m off at `time`, s: whether it is used, and the nats for it."""
     at = int(memory[Head.EVENTS_AT])
     memory[at + Event.TIME], memory[at + Event.Z_N], memory[at + Event.Z_E] = time, *z
     before = memory[r + Hypothesis.SCORE]
-    believed = judge(memory, r, at, S[0, 0], S[0, 1], S[1, 1], scatter, 1.0)
+    believed = score_fix(memory, r, at, S[0, 0], S[0, 1], S[1, 1], scatter, 1.0)
     memory[r + Nav.FIX_TIME] = time
     return believed, memory[r + Hypothesis.SCORE] - before
 
 
 def anywhere(z, s):
-    return 1.0 / (2.0 * math.pi * RANGE * (z @ z + 2.0 * np.trace(s)))
+    return 1.0 / (2.0 * math.pi * LOG_RANGE * (z @ z + 2.0 * np.trace(s)))
 
 
 @pytest.mark.parametrize('z', [(0.5, -1.0), (20.0, 5.0)])
@@ -59,16 +59,16 @@ def test_who_believes_fixes_expects_their_innovation_but_for_single_ones_anywher
     memory[r + Nav.FIX_TIME] = 1.0
     believed, nats = judged(memory, r, z, 1.0 + interval)
     s = S + np.diag([(10.0 * UNDECLARED_OFFSET) ** 2, 0.0])
-    density = (1.0 - OUTLIERS) * multivariate_normal(cov=s).pdf(z) + OUTLIERS * anywhere(np.array(z), s)
+    density = (1.0 - OUTLIER_SHARE) * multivariate_normal(cov=s).pdf(z) + OUTLIER_SHARE * anywhere(np.array(z), s)
     # then it believes it, and of ten a second each counts for a tenth
-    assert believed and nats == pytest.approx(interval / LASTING * math.log(density))
+    assert believed and nats == pytest.approx(interval / SHORTEST_CORRELATION * math.log(density))
 
 
 def test_who_doubts_expects_them_to_go_on_being_off_as_they_were():
     _, memory, r = a_state()
     memory[r + Nav.FIX_TIME] = 1.0
-    doubt(memory, r, 1.0)
-    assert memory[r + Hypothesis.SCORE] == pytest.approx(math.log(FIXES_WRONG))
+    begin_refusing(memory, r, 1.0)
+    assert memory[r + Hypothesis.SCORE] == pytest.approx(math.log(FAULT_RATE))
     s = S + np.diag([(10.0 * UNDECLARED_OFFSET) ** 2, 0.0])
     # given a first fix that is wrong anywhere
     z = np.array([30.0, -10.0])
@@ -79,19 +79,19 @@ def test_who_doubts_expects_them_to_go_on_being_off_as_they_were():
         believed, nats = judged(memory, r, z + [2.0 * k, 0.0], 2.0 + k)
         assert not believed
     scatter = 2.25 + 0.5 * (10.0 * UNDECLARED_OFFSET) ** 2
-    share = math.exp(-ENDS) * math.exp(-JUMPS)
+    share = math.exp(-FAULT_END_RATE) * math.exp(-JUMP_RATE)
     narrowest = math.log(share / (2.0 * math.pi * scatter))
     assert narrowest - 0.7 < nats < narrowest + 1e-3
     np.testing.assert_allclose(memory[r + Hypothesis.DRIFT:r + Hypothesis.DRIFT + 2], [2.0, 0.0], atol=0.05)
     # and one that fits the filter again is believed
     believed, _ = judged(memory, r, np.array([0.5, 0.5]), 33.0)
-    assert believed and memory[r + Hypothesis.DOUBTS] == 0.0
+    assert believed and memory[r + Hypothesis.FIXES_WRONG] == 0.0
 
 
 def test_refused_fixes_are_as_likely_right_as_wrong_after_the_recovery_time():
     _, memory, _ = a_state(**{'gnss.recovery_time': 40.0})
-    nats = [most_behind(memory, since) for since in (0.0, 20.0, 40.0)]
-    assert nats == pytest.approx([FIXES_RIGHT, FIXES_RIGHT / 2, 0.0])
+    nats = [restart_penalty(memory, since) for since in (0.0, 20.0, 40.0)]
+    assert nats == pytest.approx([RESTART_PENALTY, RESTART_PENALTY / 2, 0.0])
 
 
 def test_the_published_ellipse_reaches_to_a_filter_that_may_be_right():
@@ -166,7 +166,7 @@ def test_fixes_that_drift_away_are_left(mechanization):
     ((0.0, 20.0), (0.0, 0.2), False)])  # a drift of two sigma
 def test_fixes_drift_that_leave_the_way_of_the_vehicle(offset, drift, is_so):
     _, memory, r = a_state()
-    memory[r + Hypothesis.DOUBTS] = 1.0
+    memory[r + Hypothesis.FIXES_WRONG] = 1.0
     memory[r + Hypothesis.OFFSET:r + Hypothesis.OFFSET + 2] = offset
     memory[r + Hypothesis.DRIFT:r + Hypothesis.DRIFT + 2] = drift
     memory[r + Hypothesis.VARIANCE:r + Hypothesis.VARIANCE + 3] = 1.0, 0.05, 0.01
@@ -183,8 +183,8 @@ def test_fixes_that_have_jumped_do_not_drift(mechanization):
     # been refused, so that the other has started anew from them: else it might be the filter that was off
     other = memory[int(memory[Bank.SIZE]):]
     r = state_at(memory, int(memory[Head.SAMPLES]))
-    assert memory[Bank.OPEN] == 1.0 and memory[r + Hypothesis.DOUBTS] + other[r + Hypothesis.DOUBTS] == 1.0
-    assert memory[r + Hypothesis.DOUBTS] == other[r + Nav.RECOVERIES]
+    assert memory[Bank.OPEN] == 1.0 and memory[r + Hypothesis.FIXES_WRONG] + other[r + Hypothesis.FIXES_WRONG] == 1.0
+    assert memory[r + Hypothesis.FIXES_WRONG] == other[r + Nav.RECOVERIES]
     assert np.hypot(*error.T).max() < 20.0
 
 
@@ -205,7 +205,7 @@ def test_what_fixes_have_moved_is_a_position_and_a_velocity_that_are_forgotten()
     fix_drift.note(memory, r, at, 2.0, -1.0)
     # then it is from where the filter would be without them by that less the sum of all, each with its age
     age = times[-1] + 1.0 - times
-    moved = np.exp(-age / MEMORY) @ (moves[:, :2] + age[:, None] * moves[:, 2:])
+    moved = np.exp(-age / FORGETTING_TIME) @ (moves[:, :2] + age[:, None] * moves[:, 2:])
     assert memory[r + FixDrift.LATEST] == pytest.approx((2.0 - moved[0]) ** 2 + (1.0 + moved[1]) ** 2)
 
 
@@ -222,7 +222,7 @@ def test_the_second_filter_is_the_first_without_those_fixes():
     assert memory[Bank.OPEN] == 1.0
     other = memory[int(memory[Bank.SIZE]):]
     r = state_at(memory, int(memory[Head.SAMPLES]))
-    assert other[r + Hypothesis.DOUBTS] == 1.0
+    assert other[r + Hypothesis.FIXES_WRONG] == 1.0
     # (but for the last digits: its intervals are split at the fixes that it leaves)
     np.testing.assert_allclose(other[r:r + Nav.V_D], newest(without)[:Nav.V_D], rtol=1e-6, atol=1e-5)
 
@@ -234,7 +234,7 @@ def test_where_nothing_is_remembered_before_refused_fixes_there_is_no_second_fil
     memory[r + Nav.TIME], memory[r + Nav.FIX_TIME], memory[Head.FORGOTTEN] = 10.0, 9.0, 1e9
     for column, value in ((Nav.REFUSED, 6.0), (Nav.REFUSED_SINCE, 4.0), (Nav.SUM_T, times.sum()),
                           (Nav.SUM_TT, times @ times), (Nav.SUM_N, 20.0 * 6), (Nav.SUM_TN, 20.0 * times.sum()),
-                          (Nav.SUM_SQUARE, 400.0 * 6), (Hypothesis.SCORE, -50.0), (Hypothesis.OTHERWISE, -100.0),
+                          (Nav.SUM_SQUARE, 400.0 * 6), (Hypothesis.SCORE, -50.0), (Hypothesis.OUTLIER_NATS, -100.0),
                           (Receiver.CLAIMED, 2.0)):
         memory[r + column] = value
     assert are_refused(memory, r)

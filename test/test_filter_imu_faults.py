@@ -8,7 +8,7 @@ import pytest
 from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, started, take_all, take_event, take_sample
 
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, state_at, views
-from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu, is_doubted
+from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu, is_contradicted
 from mems_ins_fusion.filter.trust.standstill import MOVING_SPEED, certain_speed
 from mems_ins_fusion.navigation.earth import gravity
 
@@ -76,30 +76,31 @@ def test_a_fault_is_seen_for_what_it_is_and_bridged(mechanization, change, fault
 
 @pytest.mark.parametrize(('times', 'seconds'), [(1, 60.0), (2, 120.0), (3, 240.0)])
 def test_an_imu_that_the_fixes_have_contradicted_is_doubted_twice_as_long_each_time(times, seconds):
-    # given a state that was set to fixes which it had strayed from, 100 s after the epoch
+    # given a state that was set to fixes which it had diverged from, 100 s after the epoch
     _, memory, _ = driven('strapdown', lambda samples: None, count=2)
     r = state_at(memory, int(memory[Head.SAMPLES]))
-    memory[r + Nav.STRAYED], memory[r + Nav.STRAYED_TIME] = times, 100.0
+    memory[r + Nav.DIVERGENCES], memory[r + Nav.DIVERGENCE_TIME] = times, 100.0
     # then
-    assert [bool(is_doubted(memory, r, 100.0 + t)) for t in (0.0, seconds - 1.0, seconds + 1.0)] == [True, True, False]
+    at = 0.0, seconds - 1.0, seconds + 1.0
+    assert [bool(is_contradicted(memory, r, 100.0 + t)) for t in at] == [True, True, False]
     # and one that was not is not
-    memory[r + Nav.STRAYED] = 0.0
-    assert not is_doubted(memory, r, 100.0)
+    memory[r + Nav.DIVERGENCES] = 0.0
+    assert not is_contradicted(memory, r, 100.0)
 
 
 @BOTH
 def test_while_an_imu_is_doubted_its_samples_are_bridged_as_a_vehicle_that_keeps_its_velocity(mechanization):
-    # given a state that was set to fixes which it had strayed from, and a second of samples that show a braking
+    # given a state that was set to fixes which it had diverged from, and a second of samples that show a braking
     config, memory, _ = driven(mechanization, lambda samples: None, count=50, non_holonomic=False)
     r = state_at(memory, int(memory[Head.SAMPLES]))
-    memory[r + Nav.STRAYED], memory[r + Nav.STRAYED_TIME] = 1.0, memory[r + Nav.TIME]
+    memory[r + Nav.DIVERGENCES], memory[r + Nav.DIVERGENCE_TIME] = 1.0, memory[r + Nav.TIME]
     before, p = newest(memory).copy(), covariance(newest(memory), config.layout)
     noise = np.random.default_rng(3).standard_normal((50, 6)) * np.repeat([0.05, 1e-3], 3)
     for k, sample in enumerate(noise + [-3.0, 0.0, 9.8, 0.0, 0.0, 0.0], start=51):
         take_sample(memory, k / RATE, *sample)
     # then none of them is believed, the velocity stays, and its variance grows by the density of an acceleration that
     # is white: 3 m^2/s^3
-    assert memory[Imu.FAULTS + Fault.DOUBTED] == 50
+    assert memory[Imu.FAULTS + Fault.CONTRADICTED] == 50
     after, grown = newest(memory), covariance(newest(memory), config.layout)
     first = 2 if mechanization == 'planar' else 3
     assert after[Nav.V_N] == pytest.approx(before[Nav.V_N], abs=0.05)

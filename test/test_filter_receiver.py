@@ -35,7 +35,13 @@ from mems_ins_fusion.filter.start.initial import sensor_errors_of
 from mems_ins_fusion.filter.trust.force_noise import force_noise
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
 from mems_ins_fusion.filter.trust.new_start import start_anew
-from mems_ins_fusion.filter.trust.receiver import FOLLOWED, LASTING_TIME, realised_factor, realised_scatter, shown_share
+from mems_ins_fusion.filter.trust.receiver import (
+    LASTING_TIME,
+    SHORT_LOW_PASS,
+    realised_factor,
+    realised_scatter,
+    shown_share,
+)
 from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
 from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, Seen, scale
 from mems_ins_fusion.navigation.earth import gravity, radii
@@ -143,7 +149,7 @@ def test_a_receiver_that_goes_straight_on_is_found_out_before_it_is_wrong(mechan
     receiver = going_straight_on()
     _, _, error, records = receiver.through(mechanization=mechanization)
     # those that were believed at first are withdrawn when they depart from the vehicle
-    assert (verdicts(records)[140:156] == Verdict.STRAIGHT_ON).all() and not records[140:156, Event.WEIGHT].any()
+    assert (verdicts(records)[140:156] == Verdict.EXTRAPOLATED).all() and not records[140:156, Event.WEIGHT].any()
     others = np.r_[:140, 156:len(records)]
     assert np.isin(verdicts(records)[others], [Verdict.USED, Verdict.WEIGHTED]).all()
     # and it costs no more than coasting through it, and the two sigma by which they depart
@@ -166,7 +172,7 @@ def test_a_receiver_that_goes_straight_on_is_found_out_where_fixes_are_rare(mech
         SPEED * np.array([math.cos(COURSE), math.sin(COURSE)]) + [1.2, -1.6])
     _, _, _, records = receiver.through(mechanization=mechanization)
     # then they are refused, also the one that begins the line
-    assert (verdicts(records)[40:44] == Verdict.STRAIGHT_ON).all()
+    assert (verdicts(records)[40:44] == Verdict.EXTRAPOLATED).all()
     others = np.r_[:40, 44:len(records)]
     assert np.isin(verdicts(records)[others], [Verdict.USED, Verdict.WEIGHTED]).all()
 
@@ -176,7 +182,7 @@ def test_a_receiver_that_goes_straight_on_is_found_out_where_fixes_are_rare(mech
 def test_a_receiver_that_measures_never_passes_for_one_that_goes_straight_on(mechanization, scatter, sigma):
     # also where it scatters by far less than it claims, and the vehicle does go straight on
     _, _, _, records = Receiver(400.0, scatter=scatter).through(mechanization=mechanization, sigma=sigma)
-    assert not (verdicts(records) == Verdict.STRAIGHT_ON).any()
+    assert not (verdicts(records) == Verdict.EXTRAPOLATED).any()
 
 
 def last_fix_off(sigmas, mechanization):
@@ -505,7 +511,7 @@ def test_noise_of_the_accelerometers_that_only_the_fixes_show_is_learned(scatter
                 r = state_at(memory, int(memory[Head.SAMPLES]))
                 learned.append(force_noise(memory, r))
         # then no fix passes for one of a receiver that goes straight on, though the vehicle does, to the centimetre
-        assert not np.any(verdicts(records) == Verdict.STRAIGHT_ON)
+        assert not np.any(verdicts(records) == Verdict.EXTRAPOLATED)
     # then the noise is, to a factor, what such errors are to the velocity over seconds, 2 sigma^2 tau
     assert all(0.1 * 0.36 < q < 1.5 * 0.36 for q in learned), learned
     # and the filter is near the fixes, from which it was carried away without that: a second behind one it is off by
@@ -542,10 +548,11 @@ def test_errors_that_last_are_not_larger_than_a_claim_may_be_wrong():
     assert 0.0 < memory[r + Nav.LASTING] <= 9.0 * realised * 0.1**2 * (1.0 + 1e-9)
 
 
-@pytest.mark.parametrize('tau', [FOLLOWED, FOLLOWED / 3.0, FOLLOWED / 10.0])
+@pytest.mark.parametrize('tau', [SHORT_LOW_PASS, SHORT_LOW_PASS / 3.0, SHORT_LOW_PASS / 10.0])
 def test_what_of_lasting_errors_shows_is_what_a_filter_of_position_and_velocity_leaves(tau):
     # given a random walk that such a filter follows within tau, and a low pass of its innovations
-    a = np.array([[-1.0 / tau, -0.5 / tau**2, 0.0], [1.0, 0.0, 0.0], [1.0 / FOLLOWED, 0.0, -1.0 / FOLLOWED]])
+    rate = 1.0 / SHORT_LOW_PASS
+    a = np.array([[-1.0 / tau, -0.5 / tau**2, 0.0], [1.0, 0.0, 0.0], [rate, 0.0, -rate]])
     noise = np.diag([2.0 / LASTING_TIME, 0.0, 0.0])  # of the process with variance 1
     # then what is left is the variance of a linear system in its steady state
     assert shown_share(tau) == pytest.approx(solve_continuous_lyapunov(a, -noise)[2, 2], rel=1e-9)
@@ -557,10 +564,10 @@ def test_before_anything_has_shown_a_claim_is_believed_half_way_to_the_scatter(l
     memory = np.zeros(int(Head.SIZE) + 10_000)
     memory[Head.ADAPT] = 1.0
     r = int(Head.SIZE)
-    memory[r + OfReceiver.SCALE + Scale.LOG], memory[r + OfReceiver.SCALE + Scale.KNOWN] = level, PRIOR
+    memory[r + OfReceiver.SCALE + Scale.LOG], memory[r + OfReceiver.SCALE + Scale.REDUCED] = level, PRIOR
     assert realised_factor(memory, r) == pytest.approx(math.exp(0.5 * level))
     # and once innovations have shown how much of it lasts: that
-    memory[r + OfReceiver.SLOW_SCALE + Scale.LOG], memory[r + OfReceiver.SLOW_SCALE + Scale.KNOWN] = -0.2, PRIOR
+    memory[r + OfReceiver.SLOW_SCALE + Scale.LOG], memory[r + OfReceiver.SLOW_SCALE + Scale.REDUCED] = -0.2, PRIOR
     assert realised_factor(memory, r) == pytest.approx(math.exp(-0.2))
 
 
@@ -578,7 +585,7 @@ def test_a_way_ends_at_a_refused_fix_only_where_three_before_it_were_refused(ref
     config, memory, _, _ = Receiver(20.0).through(**{
         'gnss.adapt_sigma': False, 'speed_topic': '/speed', 'speed.scale_sigma': 0.0, 'speed.time_offset_sigma': 0.0})
     way, now = statistics_at(config, Kind.SPEED), newest(memory)[Nav.TIME]
-    views(memory)[2][:, [Nav.REFUSED, way + Seen.WAY_TIME, way + Seen.START]] = refused, now - 0.1, 0.0
+    views(memory)[2][:, [Nav.REFUSED, way + Seen.DISPLACEMENT_TIME, way + Seen.START]] = refused, now - 0.1, 0.0
     # when it refuses one more, which is some hundred metres off
     take_event(memory, fix_record(now - 0.01, LATITUDE + 1e-4))
     assert newest(memory)[Nav.REFUSED] == refused + 1
@@ -593,4 +600,4 @@ def test_a_filter_has_not_strayed_from_refused_fixes_that_scatter():
         receiver.position[40:] += 30.0 * receiver.rng.standard_normal(receiver.position[40:].shape)
         memory = receiver.through(mechanization='strapdown')[1]
         # then it is not said of the IMU that it has led astray, nor the velocity taken from two of them
-        assert newest(memory)[Nav.STRAYED] == 0.0
+        assert newest(memory)[Nav.DIVERGENCES] == 0.0

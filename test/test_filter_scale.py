@@ -13,7 +13,7 @@ from mems_ins_fusion.filter.trust.scale import Scale, learn, learn_changes, reop
 
 def learned(realised, count=400, dimensions=2, rest=0.0, interval=1.0, outliers=0.0, seed=1, by=learn):
     """A scale after `count` deviations of variance realised + rest."""
-    rng, at = np.random.default_rng(seed), np.zeros(Scale.CHANGING)
+    rng, at = np.random.default_rng(seed), np.zeros(Scale.CHANGING_SIZE)
     for k in range(count):
         deviation = math.sqrt(realised + rest) * rng.standard_normal(dimensions)
         if rng.random() < outliers:
@@ -34,17 +34,17 @@ def test_the_moments_of_the_logarithm_are_those_of_a_chi_square_variable(dimensi
 @pytest.mark.parametrize('dimensions', [1, 2])
 def test_the_posterior_is_that_of_bayes_rule(dimensions, squared, rest):
     # given the prior of a scale, and one deviation
-    at = np.zeros(Scale.CHANGING)
+    at = np.zeros(Scale.CHANGING_SIZE)
     learn_changes(at, 0, 0.0, squared, 2.0, rest, dimensions)
     # then mean and variance are those that the densities of SciPy give
     level = np.linspace(-20.0, 20.0, 40001)
     expected = 2.0 * np.exp(level) + rest
     likelihood = chi2(dimensions).pdf(dimensions * squared / expected) * dimensions * squared / expected
-    density = norm(0.0, math.sqrt(judged.PRIOR)).pdf(level) * (likelihood + judged.OUTLIERS)
+    density = norm(0.0, math.sqrt(judged.PRIOR)).pdf(level) * (likelihood + judged.OUTLIER_DENSITY)
     density /= density.sum()
     mean = np.sum(density * level)
     assert at[Scale.LOG] == pytest.approx(mean, abs=0.02)
-    assert judged.PRIOR - at[Scale.KNOWN] == pytest.approx(np.sum(density * (level - mean) ** 2), rel=0.02)
+    assert judged.PRIOR - at[Scale.REDUCED] == pytest.approx(np.sum(density * (level - mean) ** 2), rel=0.02)
 
 
 @pytest.mark.parametrize('realised', [36.0, 400.0])
@@ -52,7 +52,7 @@ def test_another_scale_is_found_after_a_few_deviations_up_and_down(realised):
     # given a scale that has been 1 for a minute, then is another one for as long, and 1 again
     found = []
     for seed in range(20):
-        rng, at = np.random.default_rng(seed), np.zeros(Scale.CHANGING)
+        rng, at = np.random.default_rng(seed), np.zeros(Scale.CHANGING_SIZE)
         levels = []
         for k, variance in enumerate(np.repeat([1.0, realised, 1.0], 60)):
             learn_changes(at, 0, k + 1.0, float(np.mean(variance * rng.standard_normal(2) ** 2)), 1.0, 0.0, 2)
@@ -91,13 +91,13 @@ def test_ten_deviations_are_enough_to_be_near(realised, by):
 @pytest.mark.parametrize(('deviation', 'fits'), [(0.1, True), (30.0, True), (1e4, False)])
 def test_a_deviation_that_the_estimate_does_not_allow_for_is_told(deviation, fits):
     # given the prior, a factor of exp(sqrt(4.8)) = 9, and a deviation of two numbers: two sigma are a factor of 160
-    assert learn_changes(np.zeros(Scale.CHANGING), 0, 0.0, deviation, 1.0, 0.0, 2) == fits
+    assert learn_changes(np.zeros(Scale.CHANGING_SIZE), 0, 0.0, deviation, 1.0, 0.0, 2) == fits
 
 
 def test_the_claim_stands_until_the_contrary_is_seen():
-    assert scale(np.zeros(Scale.CHANGING), 0) == 1.0
+    assert scale(np.zeros(Scale.CHANGING_SIZE), 0) == 1.0
     # a single small deviation is chance
-    at = np.zeros(Scale.CHANGING)
+    at = np.zeros(Scale.CHANGING_SIZE)
     learn(at, 0, 0.0, 0.05, 1.0, 0.0, 2)
     assert scale(at, 0) > 0.3
 
@@ -105,7 +105,7 @@ def test_the_claim_stands_until_the_contrary_is_seen():
 def test_deviations_that_are_mostly_something_else_teach_little():
     # given errors of variance 1 behind a way that is uncertain by ten times that, and is so
     unseen, seen = (learned(9.0, 30, rest=rest) for rest in (1000.0, 0.0))
-    assert unseen[Scale.KNOWN] < 0.1 < 4.0 < seen[Scale.KNOWN]
+    assert unseen[Scale.REDUCED] < 0.1 < 4.0 < seen[Scale.REDUCED]
     assert scale(unseen, 0) == pytest.approx(1.0, abs=0.3)
 
 
@@ -118,7 +118,7 @@ def test_what_was_seen_long_ago_is_less_certain():
     at = learned(9.0, 100)
     before = at[Scale.LOG]
     learn(at, 0, 4000.0, 9.0 * math.exp(1.0), 1.0, 0.0, 2)
-    assert at[Scale.KNOWN] == pytest.approx(judged.PRIOR**2 / (judged.PRIOR + judged.LOG_VARIANCE[1]))
+    assert at[Scale.REDUCED] == pytest.approx(judged.PRIOR**2 / (judged.PRIOR + judged.LOG_VARIANCE[1]))
     assert at[Scale.LOG] > before
 
 
@@ -136,9 +136,9 @@ def test_what_was_seen_long_ago_is_forgotten():
 @pytest.mark.parametrize(('factor', 'expected'), [(0.01, 100.0), (100.0, 1.0)])
 def test_a_claim_that_jumps_leaves_the_larger_of_both(factor, expected):
     # a receiver that scattered as it claimed, and claims a hundredth or a hundred times of it from now on
-    at = np.zeros(Scale.CHANGING)
+    at = np.zeros(Scale.CHANGING_SIZE)
     reopen(at, 0, factor)
-    assert scale(at, 0) == pytest.approx(expected) and at[Scale.KNOWN] == 0.0
+    assert scale(at, 0) == pytest.approx(expected) and at[Scale.REDUCED] == 0.0
 
 
 def test_a_claim_that_comes_and_goes_leaves_what_was_known():

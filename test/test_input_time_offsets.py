@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_filter_way import drive
+from test_filter_displacement import drive
 
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import NAV, newest_row

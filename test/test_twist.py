@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from live_support import lived, same_bits
-from test_filter_way import drive, largest_errors
+from test_filter_displacement import drive, largest_errors
 
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Kind, Verdict

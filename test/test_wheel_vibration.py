@@ -175,7 +175,7 @@ def test_live_and_replay_tell_the_same_bits(simulated, feedback):
                           np.array([p[1:] for p in published]))
     heard = [memory[int(memory[Wheels.AT]):][:Lines.SIZE] for memory in (replayed.memory, fusion._memory)]
     assert np.array_equal(*heard)
-    # and a speed was told; in open loop, whose own speed strays, not in each drive
+    # and a speed was told; in open loop, whose own speed diverges, not in each drive
     assert feedback == 'open' or heard[0][Lines.VARIANCE] > 0.0
 
 

@@ -34,23 +34,23 @@ from .memory import (
     sample_at,
     state_at,
 )
-from .prediction import free_sensors, predict
+from .prediction import allow_for_restart, predict
 from .trust import imu_faults
+from .trust.extrapolation import Wrong
 from .trust.imu_faults import Fault, Imu
 from .trust.standstill import MOVING_SPEED, certain_speed, is_still
-from .trust.straight_on import Wrong
 from .trust.white_noise import show_noise
 
 #: answers of `take_event`: the measurement is in the memory; it is older than the first state; it is older than
 #: `gnss.max_delay` or than the states in the memory; it is older than measurements that the memory has dropped
 TAKEN, BEFORE_START, TOO_LATE, FORGOTTEN = 0, 1, 2, 3
 #: s. After at least this long without a valid IMU sample the sensor errors may have changed, because the IMU may have
-#: been switched off and on or its driver restarted (`free_sensors`). Shorter than such a restart takes
+#: been switched off and on or its driver restarted (`allow_for_restart`). Shorter than such a restart takes
 SHORTEST_RESTART = 1.5
 #: s. For this long, faulty samples are replaced by the running mean of the valid samples before them; after that, by
 #: samples of straight motion at constant speed (`coast`). Matters where many samples are faulty: 5 % spikes for a
 #: minute give 3.1 m with it, 4.5 m without (docs/ablation.md)
-HELD = 0.3
+LONGEST_HELD = 0.3
 #: m/s, standard deviation that is added to the velocity where a state is not finite and is replaced by the state before
 #: it: far more than one sample can change the velocity
 RESTART_VELOCITY = 1.0
@@ -88,7 +88,7 @@ def advance(memory, k):
             memory[dst + i] = memory[src + i]
     memory[dst + Nav.TIME] = end
     if memory[first_row + Nav.BRIDGED] > SHORTEST_RESTART and memory[dst + Nav.BRIDGED] == 0.0:
-        free_sensors(memory, dst)  # this is the first valid sample after a long gap
+        allow_for_restart(memory, dst)  # this is the first valid sample after a long gap
     due = CONSTRAINT_INTERVAL - 0.5 * memory[sample + Sample.INTERVAL]  # due at the nearest sample
     if memory[Head.CONSTRAINTS] != 0.0 and memory[dst + Nav.CONSTRAINT_TIME] > due:
         constrain(memory, dst, sample)
@@ -140,11 +140,12 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.TIME], memory[sample + Sample.INTERVAL] = time, dt
     speed = certain_speed(memory, before)
     before_fault = memory[nonnegative(sample_at(memory, k - 1)) + Sample.FAULT]
-    fault = imu_faults.check(memory, samples, i, dt, speed, imu_faults.is_doubted(memory, before, time), before_fault)
+    contradicted = imu_faults.is_contradicted(memory, before, time)
+    fault = imu_faults.check(memory, samples, i, dt, speed, contradicted, before_fault)
     memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
     if fault == Fault.NONE:
         _condition(memory, sample, Imu.RAW)
-    elif fault != Fault.DOUBTED and memory[before + Nav.BRIDGED] < HELD:
+    elif fault != Fault.CONTRADICTED and memory[before + Nav.BRIDGED] < LONGEST_HELD:
         _condition(memory, sample, Imu.CENTRE)
     else:
         coast(memory, sample, before)

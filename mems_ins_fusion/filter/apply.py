@@ -17,19 +17,29 @@ from .measurements import (
 from .measurements.geometry import body_to_level
 from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, row_of
 from .prediction import set_radii
-from .trust import contradiction, fix_drift, hypotheses, inputs, new_start, receiver, repeats, straight_on, way
+from .trust import (
+    contradiction,
+    displacement,
+    extrapolation,
+    fix_drift,
+    hypotheses,
+    inputs,
+    new_start,
+    receiver,
+    repeats,
+)
 from .trust.drift import learn_drift
 from .trust.fix_drift import FixDrift
 from .trust.hypotheses import Hypothesis
 from .trust.receiver import Receiver
 from .trust.scale import seen_of
-from .trust.standstill import take_speed
+from .trust.standstill import note_speed
 from .update import begin_update, end_update, normalized_square, product, project, update
 
 #: number of fixes. Up to this many refused in a row are taken for outliers: they are not used as the end of a
-#: displacement with which an input is compared (`trust/way.py`). After more of them the filter may be the one that is
-#: wrong. Chosen, not measured
-MOST_WRONG = 3.0
+#: displacement with which an input is compared (`trust/displacement.py`). After more of them the filter may be the one
+#: that is wrong. Chosen, not measured
+MOST_OUTLIERS = 3.0
 
 
 @njit(_nrt=False)
@@ -55,33 +65,33 @@ def _apply_fix(mem, r, at):
     other inputs, drift of the fixes, drift of the sensors.
     """
     receiver.take_status(mem, r, at)
-    if _goes_straight_on(mem, r, at):
-        straight_on.refuse(mem, r, at)
+    if _is_extrapolated(mem, r, at):
+        extrapolation.refuse_fix(mem, r, at)
         return
     n, h = begin_update(mem, r)
     recovered, before = False, hypotheses.position_and_velocity(mem, r)
-    doubts = mem[r + Hypothesis.DOUBTS] != 0.0
-    if not doubts:
+    fixes_wrong = mem[r + Hypothesis.FIXES_WRONG] != 0.0
+    if not fixes_wrong:
         recovered = mem[Head.GATE] > 0.0 and new_start.is_due(mem, r, at)
         if recovered:
             new_start.start_anew(mem, r, at)
         else:
-            v_n, v_e = new_start.finds_course(mem, r, at)
+            v_n, v_e = new_start.course_velocity(mem, r, at)
             if v_n != 0.0 or v_e != 0.0:
                 new_start.take_course(mem, r, v_n, v_e, 0.0)
     c = _note_state(mem, r, at)
     dimensions = position.observe(mem, r, at, h, n, c)
     height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # used by the planar filter, which has no state for the height
     receiver.learn_scatter(mem, r, at)
-    factor, robust, gate = receiver.trust(mem, r, at)
-    if doubts:
+    factor, robust, gate = receiver.factor_and_limits(mem, r, at)
+    if fixes_wrong:
         robust = gate = 0.0
-    if not _is_believed(mem, r, at, n, factor):
-        hypotheses.refuse(mem, r, at)
+    if not _uses_fix(mem, r, at, n, factor):
+        hypotheses.refuse_fix(mem, r, at)
         return
-    if mem[r + Nav.UNSETTLED] > 0.0:
+    if mem[r + Nav.USE_ALL_FIXES] > 0.0:
         robust = gate = 0.0
-        contradiction.loosen(mem, r, n, _misfit(mem, r, at, n, factor))
+        contradiction.inflate_to_fit(mem, r, n, _misfit(mem, r, at, n, factor))
     # a height that is far off is no sign that the filter is wrong: in a car it changes slowly
     verdict = update(mem, r, at, n, dimensions, factor, robust, gate, mem[Head.ROBUST_SIGMA])
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
@@ -93,12 +103,12 @@ def _apply_fix(mem, r, at):
     new_start.note(mem, r, at)
     repeats.note(mem, r, at)
     left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
-    if verdict != Verdict.REFUSED or mem[r + Nav.REFUSED] > MOST_WRONG:
-        way.compare(mem, r, at, receiver.realised_variance(mem, r, at))
+    if verdict != Verdict.REFUSED or mem[r + Nav.REFUSED] > MOST_OUTLIERS:
+        displacement.compare(mem, r, at, receiver.realised_variance(mem, r, at))
     after = hypotheses.position_and_velocity(mem, r)
-    straight_on.pull(mem, r, before, after)
+    extrapolation.note_move(mem, r, before, after)
     if recovered:  # it has moved by more than a correction
-        fix_drift.begin_anew(mem, r)
+        fix_drift.reset(mem, r)
         mem[r + Receiver.FIRST] = 0.0
     else:
         hypotheses.add_move(mem, r, r + FixDrift.MOVED, before, after)
@@ -114,26 +124,26 @@ def _apply_input(mem, r, at, sample):
     kind, c = mem[at + Event.KIND], _note_state(mem, r, at)
     dimensions = _observe(mem, r, at, h, n, c, sample)
     if kind == Kind.PRESSURE:
-        inputs.take_step(mem, r, at, n)
-    if inputs.makes_way(kind):
-        inputs.add_to_way(mem, r, at, n, c, sample)
+        inputs.absorb_step(mem, r, at, n)
+    if inputs.has_displacement(kind):
+        inputs.integrate_displacement(mem, r, at, n, c, sample)
     judged = min(dimensions, 2)
     if kind == Kind.TWIST:
         judged = 2 if twist.measures_sideways(mem, at) else 1
         inputs.leave_out_turn_rate(mem, r, at, n)
-    factor, robust, gate = inputs.judge(mem, r, at, n, judged)
+    factor, robust, gate = inputs.factor_and_limits(mem, r, at, n, judged)
     verdict = update(mem, r, at, n, dimensions, factor, robust, gate, robust)
     mem[at + Event.VERDICT] = verdict
-    if inputs.makes_way(kind) and verdict == Verdict.REFUSED:
+    if inputs.has_displacement(kind) and verdict == Verdict.REFUSED:
         if inputs.is_contradicted(mem, r, at):
             mem[at + Event.VERDICT] = Verdict.CONTRADICTED
-        elif kind != Kind.MAGNETIC and not way.is_compared(mem, seen_of(mem, r, at)):
+        elif kind != Kind.MAGNETIC and not displacement.is_compared(mem, seen_of(mem, r, at)):
             mem[at + Event.VERDICT] = Verdict.AWAITED
     if verdict != Verdict.REFUSED:
         end_update(mem, r)
         set_radii(mem, r)
         if kind == Kind.SPEED or kind == Kind.TWIST:
-            take_speed(mem, r, at)
+            note_speed(mem, r, at)
     repeats.note(mem, r, at)
 
 
@@ -170,16 +180,16 @@ def _note_state(mem, r, at):
 
 
 @njit(_nrt=False)
-def _is_believed(mem, r, at, n, factor):
-    """Whether this filter uses the fix at `at` (`hypotheses.judge`). The rows of H follow P in the scratch. factor: on
-    its covariance R."""
+def _uses_fix(mem, r, at, n, factor):
+    """Whether this filter uses the fix at `at` (`hypotheses.score_fix`). The rows of H follow P in the scratch. factor:
+    on its covariance R."""
     h = int(mem[Head.SCRATCH_AT]) + n * n
     column = h + 3 * n
     r_nn, r_ne, r_ee = (factor * mem[at + Event.R_NN], factor * mem[at + Event.R_NE], factor * mem[at + Event.R_EE])
     s_nn = r_nn + project(mem, n, h, column)
     s_ne = r_ne + product(mem, n, h + n, column)
     s_ee = r_ee + project(mem, n, h + n, column)
-    return hypotheses.judge(mem, r, at, s_nn, s_ne, s_ee, 0.5 * (r_nn + r_ee), receiver.innovation_factor(mem, r))
+    return hypotheses.score_fix(mem, r, at, s_nn, s_ne, s_ee, 0.5 * (r_nn + r_ee), receiver.innovation_factor(mem, r))
 
 
 @njit(_nrt=False)
@@ -194,8 +204,8 @@ def _misfit(mem, r, at, n, factor):
 
 
 @njit(_nrt=False)
-def _goes_straight_on(mem, r, at):
+def _is_extrapolated(mem, r, at):
     """Whether the fix at `at` comes from a receiver that extrapolates a straight line without satellites."""
     north, east, _ = position.difference(mem, r, at, body_to_level(mem, r))
     fix_drift.note(mem, r, at, north - mem[r + NAV], east - mem[r + NAV + 1])
-    return straight_on.goes_straight_on(mem, r, at, north - mem[r + NAV], east - mem[r + NAV + 1])
+    return extrapolation.is_extrapolated(mem, r, at, north - mem[r + NAV], east - mem[r + NAV + 1])

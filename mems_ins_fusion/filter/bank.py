@@ -43,25 +43,25 @@ Bank = HEAD.place(
     SIZE=1,  # floats of one filter; 0: there is no room for a second one
     OPEN=1,  # 1: there is a second filter
     COMPARED=1,  # s: time of the latest fix after which both were compared
-    BEGUN=1,  # s: time since which the fixes are wrong, as the filter that refuses them assumes
+    WRONG_SINCE=1,  # s: time since which the fixes are wrong, as the filter that refuses them assumes
     SEARCHED=1,  # 1: earlier values of BEGUN have been tried (`_search_begin`)
     SCATTER=1)  # realised over claimed variance of the fixes when the second filter began, 1 at least
 
 #: s before the first fix that did not fit: earlier times since which the fixes may be wrong, tried by `_search_begin`.
 #: Fixes that drift away fit at first
-BACK = (2.0, 4.0, 8.0)
+EARLIER = (2.0, 4.0, 8.0)
 #: nats by which the second filter has to be better before it is published: a change makes the published position jump.
 #: Chosen, not measured
-BETTER = 2.0
+SWITCH_NATS = 2.0
 #: nats: earlier times are tried only for a second filter that is behind by less (a trial takes 1 ms for 8 s at 100 Hz);
 #: and a second filter that uses no fixes has to be better by more. Chosen, not measured
-SERIOUS = 4.0
+SERIOUS_NATS = 4.0
 #: both filters agree where the square of each difference of position, velocity and heading is below this share of the
 #: smaller variance. Chosen, not measured
-SAME = 0.1
+AGREED_SHARE = 0.1
 #: share of `gnss.recovery_time` for which a filter that starts anew from fixes refused for that long still has to fit
-#: them before it is as likely as the first filter (`hypotheses.most_behind`). Chosen, not measured
-FITTED = 0.5
+#: them before it is as likely as the first filter (`hypotheses.restart_penalty`). Chosen, not measured
+FITTING_SHARE = 0.5
 
 
 def copied(memory: np.ndarray, to: np.ndarray) -> np.ndarray:
@@ -89,36 +89,36 @@ def compare(memory):
         _begin(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0 and not refused:
             return
-    elif memory[Bank.SEARCHED] == 0.0 and hypotheses.score(memory, r) - hypotheses.score(other, r) < SERIOUS:
+    elif memory[Bank.SEARCHED] == 0.0 and hypotheses.score(memory, r) - hypotheses.score(other, r) < SERIOUS_NATS:
         memory[Bank.SEARCHED] = 1.0
         _search_begin(memory, other, r, interval)
     if refused:
         _start_from_fixes(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0:  # the state before the fixes is no longer in the memory: there is no second filter
             return
-    for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.CHANGING):  # it is the same receiver
+    for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.CHANGING_SIZE):  # it is the same receiver
         other[r + i] = memory[r + i]
     if realised_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]:
         # fixes scatter that much more than was known when they did not fit: they are no longer wrong or refused
-        memory[r + Hypothesis.DOUBTS] = memory[r + Hypothesis.VARIANCE] = memory[Bank.OPEN] = 0.0
+        memory[r + Hypothesis.FIXES_WRONG] = memory[r + Hypothesis.VARIANCE] = memory[Bank.OPEN] = 0.0
         for i in range(4):
             memory[r + Hypothesis.SPREAD + i] = 0.0
         return
-    if other[r + Hypothesis.DOUBTS] == 0.0 and other[r + Hypothesis.VARIANCE] != 0.0:
+    if other[r + Hypothesis.FIXES_WRONG] == 0.0 and other[r + Hypothesis.VARIANCE] != 0.0:
         # it takes fixes for right again: from now on it is judged by them, as the first
         other[r + Hypothesis.VARIANCE] = 0.0
         other[r + Hypothesis.SCORE] = min(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE])
     if _is_better(memory, other, r):
         _swap(memory, other)
-    doubts = memory[r + Hypothesis.DOUBTS] != 0.0
+    fixes_wrong = memory[r + Hypothesis.FIXES_WRONG] != 0.0
     if other[r + Nav.REFUSED] >= new_start.FEWEST_REFUSED:
-        other[r + Hypothesis.FITS] = 0.0
-    if doubts and other[r + Hypothesis.FITS] != 0.0:  # it must not lose while it may still turn out to be right
-        least = memory[r + Hypothesis.SCORE] - hypotheses.most_behind(memory, time - memory[Bank.BEGUN])
+        other[r + Hypothesis.CONSISTENT] = 0.0
+    if fixes_wrong and other[r + Hypothesis.CONSISTENT] != 0.0:  # it must not lose while it may still prove right
+        least = memory[r + Hypothesis.SCORE] - hypotheses.restart_penalty(memory, time - memory[Bank.WRONG_SINCE])
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
     lead = hypotheses.score(memory, r) - hypotheses.score(other, r)
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
-    if not doubts and lead > hypotheses.LOST or _agree(memory, other, r):
+    if not fixes_wrong and lead > hypotheses.LOST_NATS or _agree(memory, other, r):
         memory[Bank.OPEN] = share = 0.0
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
     north, east = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
@@ -135,7 +135,7 @@ def _swap(memory, other):
     for i in range(Bank.SIZE, Bank.SCATTER + 1):
         memory[i] = other[i]
     r = state_at(memory, int(memory[Head.SAMPLES]))
-    memory[r + Hypothesis.FITS], other[r + Hypothesis.FITS] = 0.0, 1.0
+    memory[r + Hypothesis.CONSISTENT], other[r + Hypothesis.CONSISTENT] = 0.0, 1.0
 
 
 @njit(_nrt=False)
@@ -148,17 +148,17 @@ def _start_from_fixes(memory, other, r, interval):
         if _refuse_since(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
             return
     _swap(memory, other)
-    begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTED) * memory[Head.RECOVERY_TIME])
-    memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.SEARCHED] = 1.0, begun, 1.0
+    begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTING_SHARE) * memory[Head.RECOVERY_TIME])
+    memory[Bank.OPEN], memory[Bank.WRONG_SINCE], memory[Bank.SEARCHED] = 1.0, begun, 1.0
     memory[Bank.SCATTER] = max(realised_scatter(memory, r), 1.0)
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)
-    other[start + Hypothesis.STARTS] = 1.0
+    other[start + Hypothesis.START_DUE] = 1.0
     other[Head.FORGOTTEN] = max(other[Head.FORGOTTEN], other[start + Nav.TIME])  # a late fix must not undo the start
     for j in range(k + 1, newest + 1):
         advance(other, j)
-    other[r + Hypothesis.STARTS], other[r + Hypothesis.FITS] = 0.0, 1.0
-    behind = hypotheses.most_behind(memory, memory[r + Nav.FIX_TIME] - begun)
+    other[r + Hypothesis.START_DUE], other[r + Hypothesis.CONSISTENT] = 0.0, 1.0
+    behind = hypotheses.restart_penalty(memory, memory[r + Nav.FIX_TIME] - begun)
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
 
 
@@ -170,9 +170,9 @@ def _is_better(memory, other, r):
     with a constant error is followed: its error bounds that of the filter.
     """
     ahead = hypotheses.score(other, r) - hypotheses.score(memory, r)
-    if other[r + Hypothesis.DOUBTS] == 0.0:
-        return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)
-    return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0 and memory[r + Nav.UNSETTLED] == 0.0
+    if other[r + Hypothesis.FIXES_WRONG] == 0.0:
+        return ahead > (SWITCH_NATS if memory[r + Hypothesis.FIXES_WRONG] == 0.0 else 0.0)
+    return (ahead > SERIOUS_NATS and memory[r + Hypothesis.FIXES_WRONG] == 0.0 and memory[r + Nav.USE_ALL_FIXES] == 0.0
             and fix_drift.are_followed(memory, r)
             and hypotheses.is_drifting(other, r))
 
@@ -184,25 +184,25 @@ def _begin(memory, other, r, interval):
     if interval <= 0.0:  # fixes have been withdrawn, and this one has been compared before
         return
     time, score = memory[r + Nav.FIX_TIME], hypotheses.score(memory, r)
-    prior = math.log(hypotheses.FIXES_WRONG * min(interval, hypotheses.LONGEST))
-    if memory[r + Hypothesis.OTHERWISE] + prior < -hypotheses.LOST:
+    prior = math.log(hypotheses.FAULT_RATE * min(interval, hypotheses.LONGEST_INTERVAL))
+    if memory[r + Hypothesis.OUTLIER_NATS] + prior < -hypotheses.LOST_NATS:
         return
-    if _refuse_since(memory, other, time, interval) > score - hypotheses.LOST:
-        memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.SEARCHED] = 1.0, time, 0.0
+    if _refuse_since(memory, other, time, interval) > score - hypotheses.LOST_NATS:
+        memory[Bank.OPEN], memory[Bank.WRONG_SINCE], memory[Bank.SEARCHED] = 1.0, time, 0.0
         memory[Bank.SCATTER] = max(realised_scatter(memory, r), 1.0)
 
 
 @njit(_nrt=False)
 def _search_begin(memory, other, r, interval):
     """Let `other` refuse the fixes from an earlier time on, where its score is better then."""
-    best, latest, since = hypotheses.score(other, r), memory[Bank.BEGUN], 0.0
-    for back in BACK:
+    best, latest, since = hypotheses.score(other, r), memory[Bank.WRONG_SINCE], 0.0
+    for back in EARLIER:
         score = _refuse_since(memory, other, latest - back, interval)
         if score > best:
             best, since = score, back
-    if since != BACK[-1]:
+    if since != EARLIER[-1]:
         _refuse_since(memory, other, latest - since, interval)
-    memory[Bank.BEGUN] = latest - since
+    memory[Bank.WRONG_SINCE] = latest - since
 
 
 @njit(_nrt=False)
@@ -242,7 +242,7 @@ def _refuse_since(memory, other, since, interval):
     if time >= since or time < memory[Head.FORGOTTEN]:
         return -math.inf
     _copy(memory, other, _before(memory, time - memory[Head.MAX_DELAY]))
-    hypotheses.doubt(other, state_at(memory, k), interval)
+    hypotheses.begin_refusing(other, state_at(memory, k), interval)
     for j in range(k + 1, newest + 1):
         advance(other, j)
     return hypotheses.score(other, state_at(memory, newest))
@@ -250,8 +250,9 @@ def _refuse_since(memory, other, since, interval):
 
 @njit(_nrt=False)
 def _agree(memory, other, r):
-    """Whether both filters either use the fixes or refuse them, and agree in position, velocity and heading (SAME)."""
-    if memory[r + Hypothesis.DOUBTS] != other[r + Hypothesis.DOUBTS]:
+    """Whether both filters use the fixes, or both refuse them, and position, velocity and heading agree (AGREED_SHARE).
+    """
+    if memory[r + Hypothesis.FIXES_WRONG] != other[r + Hypothesis.FIXES_WRONG]:
         return False
     n_navigation = int(memory[Head.N_NAVIGATION])
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
@@ -263,6 +264,6 @@ def _agree(memory, other, r):
     states = (0, 1, v, v + 1, yaw)
     for i in range(5):
         at = p + packed(states[i], states[i], n_navigation)
-        if differences[i] ** 2 > SAME * min(memory[at], other[at]):
+        if differences[i] ** 2 > AGREED_SHARE * min(memory[at], other[at]):
             return False
     return True

@@ -34,7 +34,7 @@ CONSTRAINT_INTERVAL = 0.1
 #: the non-holonomic constraint has noise of constant density, so where the IMU is slower than CONSTRAINT_INTERVAL each
 #: application has a smaller variance. This is the largest divisor of the variance, reached at 5 Hz. Chosen, not
 #: measured
-MOST_TOLD = 2.0
+LARGEST_DIVISOR = 2.0
 #: m/s: a standstill that the accelerometers show is accepted only if the estimated speed is below this (plus three
 #: sigma, added as squares): on a smooth road, or in a creep of traffic, the accelerometers are as quiet as at rest
 STILL_SPEED = 0.3
@@ -72,7 +72,7 @@ def constrain(mem, r, sample):
         agrees = squared < STILL_SPEED**2 + 9.0 * velocity_variance(mem, r)
         # an estimated speed contradicts a standstill (a smooth, straight creep), but not where a gyroscope shows a
         # turn: then the gyroscope is wrong, and has made the velocity wrong as well
-        still = ((agrees or _turns(mem, r, sample, n, 0.0, gyroscopes.NEW_ERROR))
+        still = ((agrees or _turns(mem, r, sample, n, 0.0, gyroscopes.JUMP_SIGMAS))
                  and not _turns(mem, r, sample, n, STILL_RATE, ROBUST))
         if still and not agrees:
             for i in range(2):
@@ -83,7 +83,7 @@ def constrain(mem, r, sample):
         _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)
         clear_rows(mem, h, n)
         dimensions = standstill.observe_rate(mem, at, h, n, sample)
-        gyroscopes.free(mem, r, at, n, dimensions, sample)
+        gyroscopes.allow_for_jump(mem, r, at, n, dimensions, sample)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0, 0.0)
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
         c, shown = body_to_level(mem, r), mem[sample + Shown.SIDEWAYS]
@@ -107,7 +107,7 @@ def constrain(mem, r, sample):
 def _share(since):
     """Factor on the variance of the non-holonomic constraint, `since` s after the previous one: noise of constant
     density."""
-    return max(CONSTRAINT_INTERVAL / since, 1.0 / MOST_TOLD)
+    return max(CONSTRAINT_INTERVAL / since, 1.0 / LARGEST_DIVISOR)
 
 
 @njit(_nrt=False)
@@ -149,7 +149,7 @@ def _constrain_motion(mem, r, at, n, h, dimensions, since):
         nis = innovation * innovation / s
         # without a gate every fix is used anyway, so a slide need not decide between the fixes and the IMU
         if k == 0 and mem[Head.GATE] > 0.0 and contradiction.slides(mem, r, innovation, s, since):
-            contradiction.unsettle(mem, r, n, innovation, since)
+            contradiction.raise_uncertainty(mem, r, n, innovation, since)
             s = variance + project(mem, n, h + n * k, column)
             nis = innovation * innovation / s
         mem[at + Event.Z_N + k] = innovation

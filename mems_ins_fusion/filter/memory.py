@@ -68,8 +68,8 @@ class _Nav(NamedTuple):
     VERTICAL_NIS: int = column()
     BRIDGED: int = column()  # s since the last valid IMU sample, LONGEST_BRIDGE at most (prediction.py)
     WEIGHTED: int = column()  # fixes in a row beyond gnss.robust_sigma, the first of them weighted down
-    STRAYED: int = column()  # new starts from refused fixes within a short time (new_start.SOON),
-    STRAYED_TIME: int = column()  # and the time of the last one
+    DIVERGENCES: int = column()  # new starts from refused fixes within a short time (new_start.AGAIN_WITHIN),
+    DIVERGENCE_TIME: int = column()  # and the time of the last one
     # consistency of the innovations with the covariance, see trust/receiver.py
     SLOW_N: int = column()  # low-passed whitened innovations of the fixes, and their variance were they white
     SLOW_E: int = column()
@@ -78,9 +78,9 @@ class _Nav(NamedTuple):
     CLAIM_LEVEL: int = column()  # mean logarithm of the claimed variance, m^2
     LASTING: int = column()  # variance of the receiver's slow errors, m^2, which the estimated position contains
     # whether the fixes or the IMU are wrong, see trust/contradiction.py
-    SLIDING: int = column()  # NIS of the lateral constraint, mean of the last second
-    USUAL_SLIDING: int = column()  # the same NIS, long-term mean: what is usual for this vehicle
-    UNSETTLED: int = column()  # s for which fixes are still used whatever their innovations
+    SLIDING_NIS: int = column()  # NIS of the lateral constraint, mean of the last second
+    USUAL_SLIDING_NIS: int = column()  # the same NIS, long-term mean: what is usual for this vehicle
+    USE_ALL_FIXES: int = column()  # s for which fixes are still used whatever their innovations
     # counts for messages to the user
     SIDEWAYS: int = column()  # s during which the vehicle violated the non-holonomic constraint
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
@@ -489,7 +489,7 @@ class _Verdict(NamedTuple):
     FROZEN: int = 4  # refused: its value does not change although the state does
     RECOVERED: int = 5  # the filter restarted from it, as it agrees with fixes refused before
     AHEAD: int = 6  # refused: its stamp is later than that of the next IMU sample
-    STRAIGHT_ON: int = 7  # refused: the receiver extrapolates a straight line without satellites
+    EXTRAPOLATED: int = 7  # refused: the receiver extrapolates a straight line without satellites
     CONTRADICTED: int = 8  # refused: its integral differs from the displacement between fixes
     AWAITED: int = 9  # not used: its integral has not been compared with the fixes yet, and its innovation is large
 

@@ -250,7 +250,7 @@ def _bridge(mem, r, dt, m, fault):
     """Add to the covariance of row r the motion that the vehicle may have made in dt, s, without a valid sample.
 
     Acceleration and turn rate are unknown constants, so what they add in dt depends on how long the gap has lasted.
-    fault: why the sample is not valid (`Fault`). Where the fixes contradict the IMU (Fault.DOUBTED) only the
+    fault: why the sample is not valid (`Fault`). Where the fixes contradict the IMU (Fault.CONTRADICTED) only the
     acceleration of a land vehicle is added.
     """
     before = mem[r + Nav.BRIDGED]
@@ -259,7 +259,7 @@ def _bridge(mem, r, dt, m, fault):
     squares = after**2 - before**2
     velocity, turn = GAP_ACCELERATION**2 * squares, GAP_TURN_RATE**2 * squares
     position = 0.25 * GAP_ACCELERATION**2 * (after**4 - before**4)
-    if fault == Fault.DOUBTED:
+    if fault == Fault.CONTRADICTED:
         position, velocity = 0.0, acceleration.DENSITY * dt
     n = int(mem[Head.N_NAVIGATION])
     a = r + NAV + n + m
@@ -279,7 +279,7 @@ def _bridge(mem, r, dt, m, fault):
 
 
 @njit(_nrt=False)
-def free_sensors(mem, r):
+def allow_for_restart(mem, r):
     """Add to the covariance of row r by how much a restart of the IMU may change its errors
     (`config.REPEATED_TURN_ON`).
     """

@@ -37,13 +37,13 @@ from ..memory import (
     views,
 )
 from ..prediction import predict
-from ..trust.inputs import SPEED_LASTS
+from ..trust.inputs import SPEED_CORRELATION
 from ..trust.scale import scale, seen_of
 from ..update import begin_update, end_update, update
 from .odometry import added_covariance
 
 #: s, step of the prediction: constraints have the same weight at this interval as at CONSTRAINT_INTERVAL
-#: (`constraints.MOST_TOLD`)
+#: (`constraints.LARGEST_DIVISOR`)
 STEP = 0.2
 #: s, longest horizon. A longer one would cost time, and after minutes the error depends on what the vehicle does
 LONGEST = 120.0
@@ -164,7 +164,7 @@ def _take_speed(mem, r, sample, interval):
     for i in range(n):
         mem[at + Event.Z_N] += mem[h + i] * mem[r + NAV + i]
     factor = max(scale(mem, seen_of(mem, r, at)), 1.0)
-    update(mem, r, at, n, dimensions, factor * max(interval, SPEED_LASTS) / STEP, 0.0, 0.0, 0.0)
+    update(mem, r, at, n, dimensions, factor * max(interval, SPEED_CORRELATION) / STEP, 0.0, 0.0, 0.0)
     end_update(mem, r)
 
 

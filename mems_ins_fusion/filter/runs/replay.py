@@ -302,8 +302,8 @@ class Replay(Intake):
             total = sum(counts.values())
             for verdict, why in ((Verdict.REFUSED, 'refused: they do not fit what the filter expects'),
                                  (Verdict.FROZEN, 'refused: they repeat themselves while the vehicle moves'),
-                                 (Verdict.STRAIGHT_ON, 'refused: the receiver extrapolates a straight line, as without '
-                                                       'satellites'),
+                                 (Verdict.EXTRAPOLATED, 'refused: the receiver extrapolates a straight line, as '
+                                                        'without satellites'),
                                  (Verdict.CONTRADICTED, 'refused: their integral differs from the displacement between '
                                                         'fixes (a wrong unit, sign or axes, or a dead sensor)'),
                                  (Verdict.AHEAD, 'refused: stamped ahead of the IMU, the clocks differ '

@@ -22,7 +22,7 @@ from .vehicle_check import found_mounting, found_time_offsets, mounting_angles
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down',
             Verdict.REFUSED: 'does not fit what the filter expects',
             Verdict.FROZEN: 'repeats itself while the vehicle moves',
-            Verdict.STRAIGHT_ON: 'extrapolated on a straight line, as without satellites',
+            Verdict.EXTRAPOLATED: 'extrapolated on a straight line, as without satellites',
             Verdict.AHEAD: 'stamped ahead of the IMU',
             Verdict.CONTRADICTED: 'its integral differs from the displacement between fixes',
             Verdict.AWAITED: 'its integral has not been compared with the fixes yet',
@@ -126,7 +126,7 @@ class FilterStatus(Intake):
         """Why a measurement was refused, in words and numbers."""
         if verdict == Verdict.FROZEN:
             return f'{self.name(kind)} repeats itself while the vehicle moves: refused'
-        if verdict == Verdict.STRAIGHT_ON:
+        if verdict == Verdict.EXTRAPOLATED:
             return 'fixes on a straight line, as of a receiver that extrapolates without satellites: fix refused'
         if verdict == Verdict.CONTRADICTED and self.config.inputs[kind].kind == Kind.HEADING:
             return (f'{self.name(kind)} differs from the direction of travel between fixes, as with antennas that are '

@@ -9,7 +9,7 @@ import numpy as np
 from ...navigation.frames import FLU_TO_FRD, rotation_from_rpy
 from ..config import FilterConfig
 from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index, newest_row, variance_factor
-from ..trust.white_noise import FAR_MORE, White
+from ..trust.white_noise import NOTEWORTHY, White
 
 MOUNTING_STATES = 'mounting_yaw', 'mounting_pitch'
 FASTEST_BACKWARDS = 8.0  # m/s, largest speed of a car in reverse
@@ -70,7 +70,7 @@ def vehicle_warnings(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray
         texts.append(f'{topic}: for {slid:.1f} s it showed a sideways motion that is unusual for this vehicle: the '
                      'vehicle slid, or the IMU was wrong. In that time every fix was used')
     if memory[White.SHAKEN] > LONGEST_SHAKEN:
-        texts.append(f'{topic}: for minutes the noise of the gyroscopes is more than {FAR_MORE:g} times '
+        texts.append(f'{topic}: for minutes the noise of the gyroscopes is more than {NOTEWORTHY:g} times '
                      'gyroscope.noise_density: the vehicle vibrates faster than the IMU samples. The filter uses the '
                      'larger noise (imu.adapt_noise); a soft mount, a higher sampling rate or the low pass of the IMU '
                      'reduce it')

@@ -29,11 +29,11 @@ from .magnetic import find_magnetic_heading
 from .plausibility import is_backwards, problem_of_driving_off, problem_of_samples
 from .start import DATUM_FIXES, SavedState, Standstill, Start
 
-MEMORY = 300.0  # s of samples and fixes kept while waiting
+LONGEST_KEPT = 300.0  # s of samples and fixes kept while waiting
 RECENT = 10.0  # s of samples and fixes from which a present standstill, or the speed of a slow vehicle, is determined
-CERTAIN = 3.0  # standard deviations of two fixes by which their displacement has to contradict a heading
-CHANGED = 0.3  # m/s, standard deviation of a slow vehicle's present speed about its mean over RECENT. Chosen
-SLOW = 2.0  # m/s: the course of a faster vehicle soon shows its heading. Chosen, not measured
+SIGNIFICANT = 3.0  # standard deviations of two fixes by which their displacement has to contradict a heading
+SPEED_CHANGE_SIGMA = 0.3  # m/s, standard deviation of a slow vehicle's present speed about its mean over RECENT. Chosen
+SLOW_SPEED = 2.0  # m/s: the course of a faster vehicle soon shows its heading. Chosen, not measured
 STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity at rest
 #: number of second differences of fixes that have to agree with the claimed noise before a course is looked for: noise
 #: above the claim looks like motion
@@ -63,7 +63,7 @@ class Alignment:
         self._fixes: list[tuple] = []  # time, latitude, longitude, variance, height, covariance
         self._first: float | None = None  # time of the first sample
         self._saved: SavedState | None = None
-        self._scale = np.zeros(Scale.CHANGING)  # realised over claimed variance of the fixes
+        self._scale = np.zeros(Scale.CHANGING_SIZE)  # realised over claimed variance of the fixes
         self._track: list[tuple] = []  # the latest three fixes that are SHORTEST_PAIR apart
         self._consistent = 0  # number of second differences that agreed with the claimed noise
         self._mounting_problem = ''  # problem of the mounting that driving off has shown
@@ -130,7 +130,7 @@ class Alignment:
         """Add one valid fix of the antenna; covariance: north-east (2, 2) m^2. Returns the start once there is one."""
         if not self._count:
             return None
-        self._forget(time - MEMORY)
+        self._forget(time - LONGEST_KEPT)
         variance = float(0.5 * (covariance[0, 0] + covariance[1, 1]))
         self._learn_noise(time, latitude, longitude, height, variance)
         self._fixes.append((time, latitude, longitude, variance, height, covariance))
@@ -369,11 +369,11 @@ class Alignment:
         noise = math.hypot(recent[0, 3], recent[-1, 3])
         along = math.cos(yaw) * moved[0] + math.sin(yaw) * moved[1]
         across = math.cos(yaw) * moved[1] - math.sin(yaw) * moved[0]
-        if abs(across) > max(CERTAIN * noise, abs(along)):
+        if abs(across) > max(SIGNIFICANT * noise, abs(along)):
             raise Refused('a magnetic heading that agrees with the fixes, which move sideways to it')
-        if math.hypot(*moved) > SLOW * interval + CERTAIN * noise:
+        if math.hypot(*moved) > SLOW_SPEED * interval + SIGNIFICANT * noise:
             raise Refused('the vehicle to move straight on: it is fast enough for its course to show the heading')
-        return float(along / interval), math.hypot(noise / interval, CHANGED)
+        return float(along / interval), math.hypot(noise / interval, SPEED_CHANGE_SIGMA)
 
     def _start(self, yaw, yaw_sigma, speed, speed_sigma, standstill, source) -> Start:
         time, latitude, longitude, _, height, r = self._fixes[-1]

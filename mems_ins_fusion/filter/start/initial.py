@@ -45,10 +45,10 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     row[Nav.TIME], row[Nav.LATITUDE], row[Nav.LONGITUDE], row[Nav.HEIGHT] = (
         start.time, start.latitude, start.longitude, start.height)
     row[Nav.V_N], row[Nav.V_E] = start.velocity
-    row[Nav.USUAL_SLIDING] = FIRST_USUAL
+    row[Nav.USUAL_SLIDING_NIS] = FIRST_USUAL
     row[Nav.VARIANCE_FACTOR] = 1.0
     ROW.begin(row)
-    row[Receiver.SCALE:Receiver.SCALE + Scale.CHANGING] = start.gnss_scale
+    row[Receiver.SCALE:Receiver.SCALE + Scale.CHANGING_SIZE] = start.gnss_scale
     full = np.zeros((layout.n, layout.n))
     full[layout.n_navigation:, layout.n_navigation:] = covariance
     mounting = layout.index('mounting_yaw') - layout.n_navigation

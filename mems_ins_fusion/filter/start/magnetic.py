@@ -19,9 +19,9 @@ LONGEST = 60.0  # s of fields that are used: over longer times the gyroscope's b
 SHORTEST = 3.0  # s of fields needed
 AROUND = 0.5  # s to each side over which the accelerometers are averaged for roll and pitch
 LEVEL_SIGMA = 0.02  # rad, standard deviation of roll and pitch by the accelerometers while a vehicle drives slowly
-STARTS = 8  # number of initial headings for Gauss-Newton: hard iron stronger than the field causes local minima
-STEPS = 8  # number of iterations from each of them
-CERTAIN = 4.0  # standard deviations by which every other heading has to fit worse
+INITIAL_HEADINGS = 8  # number of starts of Gauss-Newton: hard iron stronger than the field causes local minima
+ITERATIONS = 8  # number of iterations from each of them
+SIGNIFICANT = 4.0  # standard deviations by which every other heading has to fit worse
 #: largest sum of squares over its expectation, of means over a second: above this the field is not the earth's alone
 #: Chosen, not measured
 MISFIT = 0.3
@@ -67,10 +67,10 @@ def find_magnetic_heading(imu: np.ndarray, fields: np.ndarray, standstill: Stand
     if np.ptp(turn) < LEAST_TURN and spread[:2].max() > IRON_KNOWN:
         return None
     found = [_fitted(yaw, mean, sigmas, level, turn, since, sigma)
-             for yaw in np.arange(STARTS) * 2.0 * math.pi / STARTS]
+             for yaw in np.arange(INITIAL_HEADINGS) * 2.0 * math.pi / INITIAL_HEADINGS]
     cost, x, normal, excess = min(found, key=lambda one: one[0])
     others = [one[0] for one in found if math.cos(one[1][6] - x[6]) < math.cos(3.0 * HEADING_SIGMA)]
-    if min(others, default=math.inf) < cost + CERTAIN**2 or not excess < MISFIT:
+    if min(others, default=math.inf) < cost + SIGNIFICANT**2 or not excess < MISFIT:
         return None
     covariance = np.linalg.inv(normal)
     yaw_variance = covariance[6, 6]
@@ -111,7 +111,7 @@ def _fitted(yaw, mean, sigmas, level, turn, since, sigma):
     x[6] = yaw + mean[5]
     hard = np.mean(level - (1.0 + mean[2]) * np.column_stack([c, s]), axis=0)
     x[:2] = mean[:2] + (hard - mean[:2]) * np.minimum(1.0, sigmas[:2])  # a smaller step where the hard iron is known
-    for _ in range(STEPS):
+    for _ in range(ITERATIONS):
         residual, jacobian = _misfit(x, level, turn, since, sigma)
         rows = np.concatenate([jacobian, np.diag(1.0 / sigmas)])
         normal = rows.T @ rows

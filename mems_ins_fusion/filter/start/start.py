@@ -94,7 +94,8 @@ class Start:
     standstill: Standstill | None
     notes: list[tuple[str, str]] = field(default_factory=list)  # level and text
     errors: SensorErrors | None = None
-    gnss_scale: np.ndarray = field(default_factory=lambda: np.zeros(Scale.CHANGING))  # of the fixes, see trust/scale.py
+    #: of the fixes, see trust/scale.py
+    gnss_scale: np.ndarray = field(default_factory=lambda: np.zeros(Scale.CHANGING_SIZE))
     iron: Iron | None = None
     wheels: np.ndarray | None = None  # `wheel_vibration.calibration` of an earlier run
 

@@ -16,20 +16,20 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import NAV, Event, Head
 from ..update import product
-from .scale import LARGEST_SURPRISE, Scale, Seen, reopen
+from .scale import LARGEST_INNOVATION, Scale, Seen, reopen
 
 #: s for which innovations are remembered: a manoeuvre. Of those before the jump each speaks against it
-REMEMBERED = 4.0
+FORGETTING_TIME = 4.0
 #: s for which the state keeps what it has followed, until fixes take it back
-FOLLOWED = 10.0
+FOLLOWING_TIME = 10.0
 #: sigmas beyond which it has jumped: so far off by chance is one manoeuvre of 370, and the estimate is as good again
 #: after the next one
-CERTAIN = 3.0
+SIGNIFICANT = 3.0
 #: s, and it has jumped by so much: less is the slip of tyres and the pitch of a body that accelerates
-SMALLEST = 0.05
+SMALLEST_JUMP = 0.05
 #: s, beside the parameter: what is further off then has another fault, as wheels that slip, and would pass for one of
 #: that; half a second, and a sigma of what nobody declares
-LARGEST = 0.6
+LARGEST_OFFSET = 0.6
 
 
 @njit(_nrt=False)
@@ -45,9 +45,9 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
     p = int(mem[Head.SCRATCH_AT])
     h = p + n * n
     since, gain = max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0), variance / (variance + noise)
-    keep, left = math.exp(-since / REMEMBERED), math.exp(-since / FOLLOWED)
-    largest = LARGEST_SURPRISE * math.sqrt(noise + variance)
-    score, information = keep * mem[own + Seen.LATER], keep * mem[own + Seen.TELLS]
+    keep, left = math.exp(-since / FORGETTING_TIME), math.exp(-since / FOLLOWING_TIME)
+    largest = LARGEST_INNOVATION * math.sqrt(noise + variance)
+    score, information = keep * mem[own + Seen.JUMP_SCORE], keep * mem[own + Seen.JUMP_INFORMATION]
     for k in range(dimensions):
         followed = left * mem[own + Seen.FOLLOWED + k]
         signature = mem[h + n * k + state] - followed
@@ -56,13 +56,13 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
         innovation = max(-largest, min(innovation, largest))
         score += signature * innovation / (noise + variance)
         information += signature * signature / (noise + variance)
-    mem[own + Seen.LATER], mem[own + Seen.TELLS] = score, information
-    if abs(score) < max(CERTAIN * math.sqrt(information), SMALLEST * information) or information == 0.0:
+    mem[own + Seen.JUMP_SCORE], mem[own + Seen.JUMP_INFORMATION] = score, information
+    if abs(score) < max(SIGNIFICANT * math.sqrt(information), SMALLEST_JUMP * information) or information == 0.0:
         return False
     jump = score / information
-    if abs(mem[r + NAV + state] + jump) > LARGEST:
+    if abs(mem[r + NAV + state] + jump) > LARGEST_OFFSET:
         return False
     mem[p + (n + 1) * state] += jump**2
-    mem[own + Seen.LATER] = mem[own + Seen.TELLS] = 0.0
+    mem[own + Seen.JUMP_SCORE] = mem[own + Seen.JUMP_INFORMATION] = 0.0
     reopen(mem, own, 1.0)  # what seemed to be noise may have been that
     return True

@@ -31,15 +31,15 @@ Drift = ROW.place(
     BIAS_VARIANCE=6,  # and their variances
     RATIO=(2, 1.0),  # realised over assumed variance
     SUM=2,  # of what went into that,
-    SEEN=2,  # its weight,
-    LEAST=2)  # and the sum if what lasts of the innovations is the receiver's
+    WEIGHT=2,  # its weight,
+    LEAST_SUM=2)  # and the sum if what lasts of the innovations is the receiver's
 
 #: s: estimates are compared over so long; over less they hardly move
 WINDOW = 30.0
 #: share of the variance: where measurements have taken less of it away they say nothing
-TOLD = 0.1
+LEAST_REDUCTION = 0.1
 #: times Q: where they have taken more they show the bias that the sensor was switched on with
-SETTLED = 2.0
+LARGEST_REDUCTION = 2.0
 #: a drift squared, over its variance, counts no more than this: one fault must not ruin the rest
 LARGEST_DRIFT = 9.0
 #: comparisons, one for each axis and window: the assumed drift is worth so many
@@ -75,21 +75,21 @@ def learn_drift(mem, r):
             driving = ratio * (mem[walk_at(m, k)] * since
                                + mem[variance_at(m, k)] * (1.0 - decay * decay))
             before = decay * decay * mem[r + Drift.BIAS_VARIANCE + k]
-            told = before + driving - variance
-            if TOLD * before < told < SETTLED * driving:
+            reduction = before + driving - variance
+            if LEAST_REDUCTION * before < reduction < LARGEST_REDUCTION * driving:
                 bias = mem[r + Drift.BIAS + k]
                 moved = min((error - decay * bias) ** 2, (error - bias) ** 2)
-                mem[r + Drift.SUM + sensor] += ratio * min(moved / told, LARGEST_DRIFT)
-                mem[r + Drift.LEAST + sensor] += ratio * min(moved / (lasting * told), LARGEST_DRIFT)
-                mem[r + Drift.SEEN + sensor] += 1.0
+                mem[r + Drift.SUM + sensor] += ratio * min(moved / reduction, LARGEST_DRIFT)
+                mem[r + Drift.LEAST_SUM + sensor] += ratio * min(moved / (lasting * reduction), LARGEST_DRIFT)
+                mem[r + Drift.WEIGHT + sensor] += 1.0
         mem[r + Drift.BIAS + k], mem[r + Drift.BIAS_VARIANCE + k] = error, variance
     for sensor in range(2):
-        seen = mem[r + Drift.SEEN + sensor]
+        seen = mem[r + Drift.WEIGHT + sensor]
         if seen > DRIFT_MEMORY:
             mem[r + Drift.SUM + sensor] *= DRIFT_MEMORY / seen
-            mem[r + Drift.LEAST + sensor] *= DRIFT_MEMORY / seen
-            seen = mem[r + Drift.SEEN + sensor] = DRIFT_MEMORY
-        least = (DRIFT_PRIOR + mem[r + Drift.LEAST + sensor]) / (DRIFT_PRIOR + seen)
+            mem[r + Drift.LEAST_SUM + sensor] *= DRIFT_MEMORY / seen
+            seen = mem[r + Drift.WEIGHT + sensor] = DRIFT_MEMORY
+        least = (DRIFT_PRIOR + mem[r + Drift.LEAST_SUM + sensor]) / (DRIFT_PRIOR + seen)
         most = (DRIFT_PRIOR + mem[r + Drift.SUM + sensor]) / (DRIFT_PRIOR + seen)
         ratio = min(max(least, 1.0), most)
         if sensor == 0:

@@ -19,33 +19,33 @@ from .white_noise import density
 Gyroscopes = ROW.place(
     'Gyroscopes',
     AGREED=1,  # s: time of the latest standstill at which they showed what is expected of them
-    JUMPED=1,  # s: time of the latest one at which they did not; 0: none within LONGEST
+    JUMPED=1,  # s: time of the latest one at which they did not; 0: none within LONGEST_ERROR
     BEFORE=3)  # rad/s: estimated errors before that, w_x, w_y, w_z
 
 #: sigmas: a gyroscope that is further off at a standstill has a new error
-NEW_ERROR = 10.0
+JUMP_SIGMAS = 10.0
 #: s that a vehicle may have stood before the accelerometers have called it a standstill: for as long a gyroscope that
 #: is off may have turned the heading
-STANDS_UNSEEN = 5.0
+LONGEST_UNSEEN = 5.0
 #: s: an error that has just come is expected to last for this at least, as a fault of an IMU does that is noticed
-SHORTEST = 10.0
+SHORTEST_ERROR = 10.0
 #: s: an error that has lasted for this is the sensor's own from now on, as after a start with other biases
-LONGEST = 60.0
+LONGEST_ERROR = 60.0
 
 
 @njit(_nrt=False)
-def free(mem, r, at, n, dimensions, sample):
+def allow_for_jump(mem, r, at, n, dimensions, sample):
     """Gyroscopes that certainly turn at the standstill of the record at `at` less certain by as much, and the heading
     with them; rows of H stand behind P in the scratch. sample: position of the IMU sample."""
     h, p, yaw = int(mem[Head.SCRATCH_AT]) + n * n, int(mem[Head.SCRATCH_AT]), yaw_state(mem)
-    unseen, white = min(mem[r + Nav.TIME] - mem[r + Gyroscopes.AGREED], STANDS_UNSEEN), _white(mem, sample)
+    unseen, white = min(mem[r + Nav.TIME] - mem[r + Gyroscopes.AGREED], LONGEST_UNSEEN), _white(mem, sample)
     fit = agrees = True
     for k in range(dimensions):
         squared = (mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)) ** 2
         variance = project(mem, n, h + n * k, h + 3 * n)
         # a jump counts for a moment as scatter, too: by the noise between samples it does not agree from the first on
-        agrees = agrees and squared < NEW_ERROR**2 * (variance + white)
-        if squared > NEW_ERROR**2 * (variance + mem[at + (Event.R_NN, Event.R_EE, Event.R_DD)[k]]):
+        agrees = agrees and squared < JUMP_SIGMAS**2 * (variance + white)
+        if squared > JUMP_SIGMAS**2 * (variance + mem[at + (Event.R_NN, Event.R_EE, Event.R_DD)[k]]):
             fit = False
             for i in range(n):
                 if mem[h + n * k + i] != 0.0:
@@ -78,11 +78,11 @@ def allow_for_end(mem, r, n, since):
     if mem[r + Gyroscopes.JUMPED] == 0.0:
         return
     p, lasted = int(mem[Head.SCRATCH_AT]), mem[r + Nav.TIME] - mem[r + Gyroscopes.JUMPED]
-    if lasted > LONGEST:
+    if lasted > LONGEST_ERROR:
         mem[r + Gyroscopes.JUMPED] = 0.0
         return
     for i in range(3):
         state = channel_of(mem, 3 + i)
         if state >= 0:
             jump = mem[r + NAV + state] - mem[r + Gyroscopes.BEFORE + i]
-            mem[p + (n + 1) * state] += jump * jump * since / (SHORTEST + lasted)
+            mem[p + (n + 1) * state] += jump * jump * since / (SHORTEST_ERROR + lasted)

@@ -28,109 +28,111 @@ from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_state
 Hypothesis = ROW.place(
     'Hypothesis',
     SCORE=1,  # nats: logarithm of the likelihood of all fixes and of the prior of what the filter says,
-    BESIDE=1,  # and of the likelihood of all fixes of further receivers
-    OTHERWISE=1,  # nats, by which the latest fix is more likely if the receiver is anywhere off
-    DOUBTS=1,  # 1: the fixes since some time are wrong; then
+    FURTHER_SCORE=1,  # the same of all fixes of further receivers
+    OUTLIER_NATS=1,  # nats, by which the latest fix is more likely as an outlier, which may be anywhere
+    FIXES_WRONG=1,  # 1: its hypothesis is that the fixes since some time are wrong; then
     OFFSET=2,  # m, north and east, predicted minus measured: by what they are off,
     DRIFT=2,  # m/s, by what that changes,
     VARIANCE=3,  # of an offset, m^2, with its drift, m^2/s, and of that, m^2/s^2, the same for both axes; 0: none yet,
-    STARTS=1,  # 1: the next fix is one that position and velocity start anew from,
-    FITS=1,  # 1: no row of fixes has been refused since that, or since fixes were followed that another takes for wrong
+    START_DUE=1,  # 1: the next fix is one that position and velocity start anew from,
+    CONSISTENT=1,  # 1: it has refused no row of fixes since that start, or since it became the second filter
     SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
 
-#: 1/s: a receiver fails once an hour (multipath, tunnels, wrong integers: drives in cities)
-FIXES_WRONG = 1.0 / 3600.0
-#: 1/s: and is right again after 20 s
-ENDS = 1.0 / 20.0
-#: share of the fixes of a right receiver that are off for themselves
-OUTLIERS = 0.01
-#: 1/s: or off by something else than before
-JUMPS = 1.0 / 20.0
-#: a fix that may be anywhere is as likely 10 to 20 m off as 100 to 200 m: logarithm of that range, metres to kilometres
-RANGE = math.log(1000.0)
+#: 1/s: rate of faults of a receiver, one an hour (multipath, tunnels, wrong integers: drives in cities)
+FAULT_RATE = 1.0 / 3600.0
+#: 1/s: rate at which such a fault ends, after 20 s
+FAULT_END_RATE = 1.0 / 20.0
+#: share of the fixes of a receiver without a fault that are outliers
+OUTLIER_SHARE = 0.01
+#: 1/s: rate at which wrong fixes jump to another offset. Chosen, not measured
+JUMP_RATE = 1.0 / 20.0
+#: logarithm of the range, metres to kilometres, of a fix that may be anywhere: it is as likely 10 to 20 m off as 100 to
+#: 200 m
+LOG_RANGE = math.log(1000.0)
 #: m/s: sigma of the drift of wrong fixes, of a receiver that loses its satellites one by one
-DRIFT = 3.0
-#: sigma beyond which wrong fixes certainly drift, and are beside the way of the vehicle
-CERTAIN = 3.0
-#: m^2/s and m^2/s^3, variances that offset and drift gather: of a receiver's filter, not of a vehicle that manoeuvres
-WANDERS, TURNS = 0.002, 0.002
-#: nats: a filter has strayed from fixes that it has refused (a wrong heading, a standstill that was none) once in 50 h,
-STRAYED = math.log(FIXES_WRONG / 50.0)
-#: and an IMU is wrong once in a hundred hours (loose mounts, kerbs, drivers that mix up axes)
-IMU_WRONG = math.log(1.0 / 3.6e5)
-#: nats by which fixes that are refused in a row are more likely wrong than those before them were: the end of a fault
-#: is as frequent as its begin, but few faults begin unseen
-FIXES_RIGHT = 4.5
-#: probability of a hypothesis from which on the published 95 % ellipse holds it
-POSSIBLE = 0.01
+DRIFT_SIGMA = 3.0
+#: sigmas beyond which wrong fixes significantly drift, and are off across the velocity
+SIGNIFICANT = 3.0
+#: m^2/s and m^2/s^3, random walks of offset and drift: those of a receiver's filter, not of a vehicle that manoeuvres
+OFFSET_WALK, DRIFT_WALK = 0.002, 0.002
+#: nats, prior: a filter diverges from right fixes, which it then refuses (a wrong heading, a standstill that was none),
+#: once in 50 h
+DIVERGENCE_PRIOR = math.log(FAULT_RATE / 50.0)
+#: nats, prior: an IMU fails once in a hundred hours (loose mounts, kerbs, drivers that mix up axes)
+IMU_FAULT_PRIOR = math.log(1.0 / 3.6e5)
+#: nats: a filter that starts anew from refused fixes is less likely by this at first. It says that the fixes before
+#: were wrong: a fault ends as often as it begins, but few begin unnoticed
+RESTART_PENALTY = 4.5
+#: least probability of a hypothesis that the published 95 % ellipse holds
+LEAST_PROBABILITY = 0.01
 #: sigmas of a 95 % ellipse: the root of the 95 % quantile of chi-square with 2 degrees of freedom
-ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
-#: nats: a hypothesis that is less likely by so many has lost
-LOST = 9.0
-#: s for which errors of a receiver last at least: fixes that come faster count for less
-LASTING = 1.0
-#: s between fixes at most, for priors per second
-LONGEST = 5.0
+ELLIPSE_SIGMAS = math.sqrt(-2.0 * math.log(0.05))
+#: nats: a hypothesis that is less likely by more is dropped
+LOST_NATS = 9.0
+#: s: shortest correlation time of a receiver's errors: fixes that come faster count for less
+SHORTEST_CORRELATION = 1.0
+#: s: longer intervals between fixes count as this, for rates per second
+LONGEST_INTERVAL = 5.0
 
 
 @njit(_nrt=False)
-def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
-    """Whether the filter with the state at r believes the fix at `at`, whose likelihood goes into its score.
+def score_fix(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
+    """Whether the filter with the state at r uses the fix at `at`, whose likelihood goes into its score.
 
     s: covariance of the innovation, m^2; r_nn: what of it is the fix's; factor: the realised over the expected variance
     of innovations. It and a time offset that nobody declared widen the likelihoods of both statements alike, so that
     neither wins by being narrow.
     """
-    interval = min(max(mem[at + Event.TIME] - mem[r + Nav.FIX_TIME], 0.0), LONGEST)
-    counts = min(interval / LASTING, 1.0)
+    interval = min(max(mem[at + Event.TIME] - mem[r + Nav.FIX_TIME], 0.0), LONGEST_INTERVAL)
+    counts = min(interval / SHORTEST_CORRELATION, 1.0)
     z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
     n, e = UNDECLARED_OFFSET * mem[r + Nav.V_N], UNDECLARED_OFFSET * mem[r + Nav.V_E]
     s_nn, s_ne, s_ee = factor * s_nn + n * n, factor * s_ne + n * e, factor * s_ee + e * e
     determinant = s_nn * s_ee - s_ne * s_ne
     nis = (s_ee * z_n * z_n - 2.0 * s_ne * z_n * z_e + s_nn * z_e * z_e) / determinant
     right = math.exp(-0.5 * min(nis, 1000.0)) / (2.0 * math.pi * math.sqrt(determinant))
-    anywhere = 1.0 / (2.0 * math.pi * RANGE * (z_n * z_n + z_e * z_e + 2.0 * (s_nn + s_ee)))
-    if mem[r + Hypothesis.DOUBTS] == 0.0:
-        likelihood = (1.0 - OUTLIERS) * right + OUTLIERS * anywhere
-        mem[r + Hypothesis.OTHERWISE] = math.log(anywhere / likelihood)
+    anywhere = 1.0 / (2.0 * math.pi * LOG_RANGE * (z_n * z_n + z_e * z_e + 2.0 * (s_nn + s_ee)))
+    if mem[r + Hypothesis.FIXES_WRONG] == 0.0:
+        likelihood = (1.0 - OUTLIER_SHARE) * right + OUTLIER_SHARE * anywhere
+        mem[r + Hypothesis.OUTLIER_NATS] = math.log(anywhere / likelihood)
         mem[r + Hypothesis.SCORE] += counts * math.log(likelihood)
         return True
-    # the first of them is wrong: else the doubts had begun with a later one
-    ended = 1.0 - math.exp(-ENDS * interval) if mem[r + Hypothesis.VARIANCE] != 0.0 else 0.0
-    wrong = _wrong(mem, r, z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), anywhere, interval)
-    again, still = ended * right, (1.0 - ended) * wrong
+    # the first of them is wrong: the hypothesis begins with it
+    ended = 1.0 - math.exp(-FAULT_END_RATE * interval) if mem[r + Hypothesis.VARIANCE] != 0.0 else 0.0
+    wrong = _density_if_wrong(mem, r, z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), anywhere, interval)
+    again, still = ended * right, (1.0 - ended) * wrong  # right again, and still wrong
     mem[r + Hypothesis.SCORE] += counts * math.log(again + still)
     if again > still:
-        mem[r + Hypothesis.DOUBTS] = 0.0
+        mem[r + Hypothesis.FIXES_WRONG] = 0.0
     return again > still
 
 
 @njit(_nrt=False)
-def judge_further(mem, r, squared, variance, interval):
-    """A fix of a further receiver, `interval` s after the one before it, as evidence for the state at r.
+def score_further_fix(mem, r, squared, variance, interval):
+    """Add the likelihood of a fix of a further receiver, `interval` s after the one before it, to the score.
 
     squared: mean square of its innovation, expected to be variance, m^2: so a main receiver that jumps alone is wrong.
     """
     late = UNDECLARED_OFFSET**2 * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
     variance += 0.5 * late
     right = math.exp(-min(squared / variance, 1000.0)) / variance
-    anywhere = 1.0 / (RANGE * (2.0 * squared + 4.0 * variance))
-    likelihood = ((1.0 - OUTLIERS) * right + OUTLIERS * anywhere) / (2.0 * math.pi)
-    mem[r + Hypothesis.BESIDE] += min(max(interval, 0.0) / LASTING, 1.0) * math.log(likelihood)
+    anywhere = 1.0 / (LOG_RANGE * (2.0 * squared + 4.0 * variance))
+    likelihood = ((1.0 - OUTLIER_SHARE) * right + OUTLIER_SHARE * anywhere) / (2.0 * math.pi)
+    mem[r + Hypothesis.FURTHER_SCORE] += min(max(interval, 0.0) / SHORTEST_CORRELATION, 1.0) * math.log(likelihood)
 
 
 @njit(_nrt=False)
 def score(row, r):
     """Nats: logarithm of the likelihood of the fixes of all receivers, and of the prior of what the filter says."""
-    return row[r + Hypothesis.SCORE] + row[r + Hypothesis.BESIDE]
+    return row[r + Hypothesis.SCORE] + row[r + Hypothesis.FURTHER_SCORE]
 
 
 @njit(_nrt=False)
-def most_behind(mem, since):
+def restart_penalty(mem, since):
     """Nats by which a filter that starts anew from refused fixes is less likely at most than one that takes them for
     wrong, `since` s after these began: after `gnss.recovery_time` both are as likely, as a receiver is seldom off by
     the same for so long."""
-    return FIXES_RIGHT * (1.0 - since / mem[Head.RECOVERY_TIME])
+    return RESTART_PENALTY * (1.0 - since / mem[Head.RECOVERY_TIME])
 
 
 @njit(_nrt=False)
@@ -140,26 +142,26 @@ def reach(share, distance):
     That of the mixture of both, but no less than a 95 % ellipse that has the other filter in it: where that is possible
     to one in a hundred, and not further away, `distance` m, than fixes that drift away take a filter.
     """
-    possible = share * math.exp(-0.5 * (distance * ENDS / DRIFT) ** 2)
-    return max(math.sqrt(share), 1.0 / ELLIPSE if possible > POSSIBLE else 0.0)
+    possible = share * math.exp(-0.5 * (distance * FAULT_END_RATE / DRIFT_SIGMA) ** 2)
+    return max(math.sqrt(share), 1.0 / ELLIPSE_SIGMAS if possible > LEAST_PROBABILITY else 0.0)
 
 
 @njit(_nrt=False)
-def _wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
+def _density_if_wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
     """Density, 1/m^2, of a fix that is off by z of a wrong receiver, from which its offset is learned. r_nn: m^2, of
     the scatter about that."""
     offset, drift, variance = r + Hypothesis.OFFSET, r + Hypothesis.DRIFT, r + Hypothesis.VARIANCE
     jumped = mem[variance] == 0.0
     density = anywhere
     if not jumped:
-        mem[variance] += interval * (2.0 * mem[variance + 1] + interval * mem[variance + 2] + WANDERS)
+        mem[variance] += interval * (2.0 * mem[variance + 1] + interval * mem[variance + 2] + OFFSET_WALK)
         mem[variance + 1] += interval * mem[variance + 2]
-        mem[variance + 2] += TURNS * interval
+        mem[variance + 2] += DRIFT_WALK * interval
         s = mem[variance] + r_nn
         mem[offset] += interval * mem[drift]
         mem[offset + 1] += interval * mem[drift + 1]
         n, e = z_n - mem[offset], z_e - mem[offset + 1]
-        jumps = max(1.0 - math.exp(-JUMPS * interval), OUTLIERS)
+        jumps = max(1.0 - math.exp(-JUMP_RATE * interval), OUTLIER_SHARE)
         goes_on = (1.0 - jumps) * math.exp(-0.5 * min((n * n + e * e) / s, 1000.0)) / (2.0 * math.pi * s)
         density = goes_on + jumps * anywhere
         jumped = goes_on < jumps * anywhere
@@ -175,18 +177,18 @@ def _wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
     if jumped:
         mem[offset], mem[offset + 1], mem[drift], mem[drift + 1] = z_n, z_e, 0.0, 0.0
         mem[variance], mem[variance + 1] = r_nn, 0.0
-        mem[variance + 2] = DRIFT**2
+        mem[variance + 2] = DRIFT_SIGMA**2
     return density
 
 
 @njit(_nrt=False)
-def doubt(mem, r, interval):
+def begin_refusing(mem, r, interval):
     """The filter with the state at r says from now on that the fixes are wrong. interval: s between fixes."""
-    mem[r + Hypothesis.DOUBTS] = 1.0
+    mem[r + Hypothesis.FIXES_WRONG] = 1.0
     mem[r + Hypothesis.VARIANCE] = 0.0
     for i in range(2):
         mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
-    mem[r + Hypothesis.SCORE] += math.log(FIXES_WRONG * min(max(interval, LASTING), LONGEST))
+    mem[r + Hypothesis.SCORE] += math.log(FAULT_RATE * min(max(interval, SHORTEST_CORRELATION), LONGEST_INTERVAL))
 
 
 @njit(_nrt=False)
@@ -197,12 +199,12 @@ def is_drifting(mem, r):
     drift = math.hypot(mem[r + Hypothesis.DRIFT], mem[r + Hypothesis.DRIFT + 1])
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
     beside = abs(offset_n * mem[r + Nav.V_E] - offset_e * mem[r + Nav.V_N])  # times the speed
-    return (drift > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE + 2])
-            and beside > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE]) * speed)
+    return (drift > SIGNIFICANT * math.sqrt(mem[r + Hypothesis.VARIANCE + 2])
+            and beside > SIGNIFICANT * math.sqrt(mem[r + Hypothesis.VARIANCE]) * speed)
 
 
 @njit(_nrt=False)
-def refuse(mem, r, at):
+def refuse_fix(mem, r, at):
     """Leave the fix at `at`, which is taken for wrong, and remember that it came."""
     mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.REFUSED, 0.0
     mem[r + Nav.RESIDUAL_N] = mem[at + Event.Z_N] - mem[r + NAV]
@@ -212,7 +214,7 @@ def refuse(mem, r, at):
 
 
 @njit(_nrt=False)
-def claim(mem, r, nats):
+def add_prior(mem, r, nats):
     """The filter with the state at r has said something more that has the logarithm `nats` of a prior."""
     mem[r + Hypothesis.SCORE] += nats
 

@@ -1,6 +1,6 @@
-"""Which IMU samples can be believed, by what the sensor itself has shown before.
+"""Which IMU samples are used, by what the sensor itself has shown before.
 
-A sample that is not believed is not lost time: the filter bridges it, first as if the vehicle went on as it did, then
+A sample that is not used is not lost time: the filter bridges it, first as if the vehicle went on as it did, then
 as if it neither turned nor changed its speed, with a covariance that knows what a vehicle may do meanwhile.
 """
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .standstill import MOVING_SPEED
 
 
 class _Fault(NamedTuple):
-    """Why a sample is not believed."""
+    """Why a sample is not used."""
 
     NONE: int = 0
     RANGE: int = 1  # beyond what imu.max_specific_force or imu.max_angular_rate allow
@@ -23,7 +23,7 @@ class _Fault(NamedTuple):
     SATURATED: int = 3  # an axis stays at a large value to the last digit
     FROZEN: int = 4  # an axis that always changes repeats itself to the last digit while the vehicle moves, or all do
     ZERO: int = 5  # all axes zero: no gravity
-    DOUBTED: int = 6  # nothing wrong with it, but the fixes have contradicted those before it
+    CONTRADICTED: int = 6  # nothing wrong with it, but the fixes have contradicted those before it
     SIZE: int = 7
 
 
@@ -40,21 +40,21 @@ Imu = HEAD.place(
     RAW=6,  # the last six numbers
     SAME=6,  # how often each came again one after the other
     CHANGED=6,  # and how often it was another one than before
-    CENTRE=6,  # running mean of what was believed
+    CENTRE=6,  # running mean of what was used
     SPREAD=2,  # and its running variance, of f and of w
     VARIED=1,  # samples that differ from the one before
     SPIKE_SINCE=1,  # s
-    BELIEVED=1,  # samples believed so far
-    FAULTS=Fault.SIZE)  # samples not believed, by reason
+    USED=1,  # samples used so far
+    FAULTS=Fault.SIZE)  # samples not used, by reason
 
 #: time constant of the running mean that neighbours are told by, s
 NEIGHBOURHOOD = 0.2
-#: m/s^2: a specific force further from that mean, besides JUMP_SIGMAS of its scatter, is a spike: a pothole is less
-JUMP_FORCE = 30.0
+#: m/s^2: a specific force further from that mean, besides SPIKE_SIGMAS of its scatter, is a spike: a pothole is less
+SPIKE_FORCE = 30.0
 #: rad/s: the same of a turn rate: no vehicle begins to turn so fast from one sample to the next
-JUMP_RATE = 2.0
+SPIKE_RATE = 2.0
 #: sigmas: of the scatter that is usual
-JUMP_SIGMAS = 8.0
+SPIKE_SIGMAS = 8.0
 #: s: what lasts for longer is no spike
 LONGEST_SPIKE = 0.25
 #: m/s^2: what a vehicle reaches, but does not keep to the last digit: an axis that does is saturated
@@ -69,29 +69,29 @@ FROZEN_TIME = 0.3
 FEWEST_STUCK = 5.0
 #: share of the samples: the digits of axes that change more rarely are coarse
 ALWAYS = 0.9
-#: s: a filter that has strayed from fixes that were right does not believe the IMU for so long, twice as long each
+#: s: a filter that has diverged from fixes that were right does not use the IMU for so long, twice as long each
 #: further time
-DOUBT_TIME = 60.0
+CONTRADICTED_TIME = 60.0
 
 
 @njit(_nrt=False)
-def is_doubted(mem, r, time):
+def is_contradicted(mem, r, time):
     """Whether what the fixes have shown till the state at r speaks against the IMU at `time`."""
-    lasts = DOUBT_TIME * 2.0 ** (mem[r + Nav.STRAYED] - 1.0)
-    return mem[r + Nav.STRAYED] >= 1.0 and time - mem[r + Nav.STRAYED_TIME] < lasts
+    lasts = CONTRADICTED_TIME * 2.0 ** (mem[r + Nav.DIVERGENCES] - 1.0)
+    return mem[r + Nav.DIVERGENCES] >= 1.0 and time - mem[r + Nav.DIVERGENCE_TIME] < lasts
 
 
 @njit(_nrt=False)
-def check(mem, samples, k, dt, speed, doubted, before=Fault.NONE):
+def check(mem, samples, k, dt, speed, contradicted, before=Fault.NONE):
     """What is wrong with sample k, a `Fault`; it, and what it shows, is remembered in the head of `mem`.
 
     samples (n, 7): time (s), specific force and angular rate in sensor axes. dt: s since the one before. speed: that
-    the vehicle certainly has, m/s. doubted: whether the IMU is not believed at this time. before: the `Fault` of the
-    sample before it.
+    the vehicle certainly has, m/s. contradicted: whether fixes contradict the IMU at this time. before: the `Fault` of
+    the sample before it.
     """
     time = samples[k, 0]
     equal, zero, out, saturated, stuck, repeats = 1e9, True, False, False, 0, 0
-    lively = mem[Imu.VARIED] > 0.5 * mem[Imu.BELIEVED] and mem[Imu.BELIEVED] > 10.0
+    lively = mem[Imu.VARIED] > 0.5 * mem[Imu.USED] and mem[Imu.USED] > 10.0
     for i in range(6):
         value = samples[k, 1 + i]
         mem[Imu.SAME + i] = mem[Imu.SAME + i] + 1.0 if value == mem[Imu.RAW + i] else 0.0
@@ -116,13 +116,13 @@ def check(mem, samples, k, dt, speed, doubted, before=Fault.NONE):
         fault = Fault.FROZEN
     elif _is_spike(mem, time):
         fault = Fault.SPIKE
-    elif doubted:
-        fault = Fault.DOUBTED
+    elif contradicted:
+        fault = Fault.CONTRADICTED
     if fault != Fault.NONE:
         mem[Imu.FAULTS + fault] += 1.0
         return fault
     mem[Imu.SPIKE_SINCE] = time
-    mem[Imu.BELIEVED] += 1.0
+    mem[Imu.USED] += 1.0
     if equal == 0.0:
         mem[Imu.VARIED] += 1.0
     for i in range(6):
@@ -136,7 +136,7 @@ def check(mem, samples, k, dt, speed, doubted, before=Fault.NONE):
 def _stays(mem, i, dt):
     """Whether number i of the samples, which always changes, has repeated itself for too long."""
     return (mem[Imu.SAME + i] >= FEWEST_STUCK and mem[Imu.SAME + i] * dt > FROZEN_TIME
-            and mem[Imu.CHANGED + i] > ALWAYS * mem[Imu.BELIEVED])
+            and mem[Imu.CHANGED + i] > ALWAYS * mem[Imu.USED])
 
 
 @njit(_nrt=False)
@@ -147,10 +147,10 @@ def is_stuck(mem, dt):
 
 @njit(_nrt=False)
 def _is_spike(mem, time):
-    if mem[Imu.BELIEVED] < 10.0 or time - mem[Imu.SPIKE_SINCE] > LONGEST_SPIKE:
+    if mem[Imu.USED] < 10.0 or time - mem[Imu.SPIKE_SINCE] > LONGEST_SPIKE:
         return False
-    force = JUMP_FORCE + JUMP_SIGMAS * math.sqrt(mem[Imu.SPREAD])
-    rate = JUMP_RATE + JUMP_SIGMAS * math.sqrt(mem[Imu.SPREAD + 1])
+    force = SPIKE_FORCE + SPIKE_SIGMAS * math.sqrt(mem[Imu.SPREAD])
+    rate = SPIKE_RATE + SPIKE_SIGMAS * math.sqrt(mem[Imu.SPREAD + 1])
     for i in range(6):
         if abs(mem[Imu.RAW + i] - mem[Imu.CENTRE + i]) > (force if i < 3 else rate):
             return True
@@ -159,8 +159,8 @@ def _is_spike(mem, time):
 
 @njit(_nrt=False)
 def _remember(mem, dt):
-    """Running mean and variance of what was believed."""
-    weight = 1.0 if mem[Imu.BELIEVED] == 1.0 else min(1.0, dt / NEIGHBOURHOOD)
+    """Running mean and variance of the samples used."""
+    weight = 1.0 if mem[Imu.USED] == 1.0 else min(1.0, dt / NEIGHBOURHOOD)
     for half in range(2):
         squared = 0.0
         for i in range(3 * half, 3 * half + 3):

@@ -1,5 +1,5 @@
-"""How far a speed, a velocity, an odometry, a heading, a magnetic field and a pressure are believed: by their
-innovations (`scale.py`), and by the way that they make up beside the way between fixes (`way.py`).
+"""With which weight a speed, velocity, odometry, heading, magnetic field and pressure are used: by their innovations
+(`scale.py`), and by the displacement that they integrate to, beside that between fixes (`displacement.py`).
 
 Fixes are judged in `receiver.py`.
 """
@@ -13,55 +13,55 @@ from ..measurements import magnetometer
 from ..measurements.geometry import angular_rate, arm_of, body_velocity, rotate, vehicle_to_level
 from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
-from . import clock_jump, contradiction, hypotheses, receiver, repeats, way
+from . import clock_jump, contradiction, displacement, hypotheses, receiver, repeats
 from .scale import Scale, Seen, learn_changes, scale, seen_of
-from .standstill import SLOWEST_TOLD
+from .standstill import SLOWEST_SPEED
 
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
 #: Weighted down it would still pull, each time.
-FAR = 10.0
-#: the same of a magnetic field, which iron beside the way disturbs every day, and of a further receiver, which
+GATE = 10.0
+#: the same of a magnetic field, which iron beside the road disturbs every day, and of a further receiver, which
 #: reflections take away
-DISTURBED = 4.0
-#: m/s, that a speed is believed at most before its way has been compared with that of the fixes, whatever it claims
-FIRST_SIGMA = 0.1
+NARROW_GATE = 4.0
+#: m/s: least sigma of a speed before its displacement has been compared with that of the fixes, whatever it claims
+UNCOMPARED_SIGMA = 0.1
 #: rad, the same of a heading: antennas that are exchanged, a compass beside iron
-FIRST_HEADING_SIGMA = 0.3
+UNCOMPARED_HEADING_SIGMA = 0.3
 #: sigmas: a limit that refuses every measurement of an input
-NEVER = 1e-9
+REFUSE_ALL = 1e-9
 #: s for which errors of a speed, velocity or odometry last: manoeuvres in which wheels slip and late stamps show, the
 #: smoothing of receivers. All of that time tell no more than one (0.3 s late, 60 s without fixes: 7 m, 28 m if white)
-SPEED_LASTS = 1.0
+SPEED_CORRELATION = 1.0
 #: the same of a magnetic field: what a slow vehicle passes
-FIELD_LASTS = 10.0
+FIELD_CORRELATION = 10.0
 #: s for which a speed that has fitted and then is far off is one of wheels that slip, without fixes, too; what lasts
 #: for longer may be right, and the state wrong
 LONGEST_SLIP = 5.0
-#: multiple of the claimed variance that counts as noise where FAR is judged, however large it has been seen to be:
+#: multiple of the claimed variance that counts as noise where GATE is judged, however large it has been seen to be:
 #: three times the sigma, as the prior of a scale has it. More is slip or another fault, and makes none fit
-LARGEST_CLAIM = 9.0
+LARGEST_NOISE_FACTOR = 9.0
 #: m/s, sigma that counts as noise there in any case: wheels that claim millimetres are not known better
-LARGEST_NOISE = 0.2
+LEAST_NOISE = 0.2
 #: rad, the same of a heading
-LARGEST_HEADING_NOISE = 0.05
+LEAST_HEADING_NOISE = 0.05
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
 LONGEST_JUMP = 60.0
-#: s for which the ways of an input that was wrong have to be right before it is used again: on a straight street other
-#: axes may fit, too
-RIGHT_AGAIN = 20.0
+#: s for which the displacements of an input that was wrong have to be right before it is used again: on a straight
+#: street other axes may fit, too
+READMITTED_AFTER = 20.0
 #: s without a fix after which the fixes no longer confirm the velocity
-NO_FIX = 10.0
+LONGEST_WITHOUT_FIX = 10.0
 
 
 @njit(_nrt=False)
-def makes_way(kind):
-    """Whether measurements of this kind make up a way, or its direction."""
+def has_displacement(kind):
+    """Whether measurements of this kind integrate to a displacement, or to its direction."""
     return is_of_velocity(kind) or is_of_heading(kind)
 
 
 @njit(_nrt=False)
-def judge(mem, r, at, n, dimensions):
+def factor_and_limits(mem, r, at, n, dimensions):
     """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too, and for as
     many as tell no more than one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components
     that are judged together, 1 or 2.
@@ -74,58 +74,59 @@ def judge(mem, r, at, n, dimensions):
     h, own = p + n * n, seen_of(mem, r, at)
     time = mem[at + Event.TIME]
     of_velocity = is_of_velocity(kind)
-    if _is_off(mem, r, at, n):
+    if _has_wrong_displacement(mem, r, at, n):
         if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
-            contradiction.let_fixes_decide(mem, r)
+            contradiction.use_all_fixes(mem, r)
         mem[own + Seen.FITTED] = -time
     if is_contradicted(mem, r, at):
-        return 1.0, ROBUST, NEVER
+        return 1.0, ROBUST, REFUSE_ALL
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
-    lasts = SPEED_LASTS if of_velocity else FIELD_LASTS if kind == Kind.MAGNETIC else 0.0
+    lasts = SPEED_CORRELATION if of_velocity else FIELD_CORRELATION if kind == Kind.MAGNETIC else 0.0
     since = time - mem[own + Scale.TIME]
     density = _repeated(lasts, since)
-    if (of_velocity or kind == Kind.HEADING) and fix != 0.0 and time - fix < NO_FIX and not way.is_compared(mem, own):
-        first = FIRST_SIGMA
+    if ((of_velocity or kind == Kind.HEADING) and fix != 0.0 and time - fix < LONGEST_WITHOUT_FIX
+            and not displacement.is_compared(mem, own)):
+        first = UNCOMPARED_SIGMA
         if kind == Kind.HEADING:  # what is wrong with it does not change from one to the next
-            first = FIRST_HEADING_SIGMA
-            density = _repeated(FIELD_LASTS, since)
+            first = UNCOMPARED_HEADING_SIGMA
+            density = _repeated(FIELD_CORRELATION, since)
         mem[own + Scale.TIME] = time
         # a velocity may fit by its size and point elsewhere
-        gate = NEVER if kind == Kind.VELOCITY else ROBUST
+        gate = REFUSE_ALL if kind == Kind.VELOCITY else ROBUST
         return density * max(1.0, first**2 / mem[at + Event.R_NN]), ROBUST, gate
     claimed = mem[at + Event.R_NN]
     squared, variance = _innovation(mem, r, at, n, dimensions)
     if dimensions > 1:
         claimed = 0.5 * (claimed + mem[at + Event.R_EE])
     before = max(scale(mem, own), 1.0)
-    least = LARGEST_NOISE if of_velocity else LARGEST_HEADING_NOISE
+    least = LEAST_NOISE if of_velocity else LEAST_HEADING_NOISE
     if clock_jump.has_jumped(mem, r, at, n, own, dimensions,
-                             density * min(before * claimed, max(LARGEST_CLAIM * claimed, least**2)), variance):
+                             density * min(before * claimed, max(LARGEST_NOISE_FACTOR * claimed, least**2)), variance):
         squared, variance = _innovation(mem, r, at, n, dimensions)
-    confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
+    confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < LONGEST_WITHOUT_FIX
     if kind == Kind.PLACE:
-        expected = variance + min(before, LARGEST_CLAIM) * claimed
-        hypotheses.judge_further(mem, r, squared, expected, since)
+        expected = variance + min(before, LARGEST_NOISE_FACTOR) * claimed
+        hypotheses.score_further_fix(mem, r, squared, expected, since)
         if _is_elsewhere(mem, own, time, squared, expected, confirmed):
             mem[own + Scale.TIME] = time
-            return 1.0, ROBUST, NEVER
+            return 1.0, ROBUST, REFUSE_ALL
     learn_changes(mem, own, time, squared, claimed, variance, dimensions, 1.0 / density)
     realised = scale(mem, own)
     unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
     factor = max(realised, 1.0) + unknown / claimed
     robust = ROBUST * math.sqrt((variance + factor * claimed) / (variance + density * factor * claimed))
-    if makes_way(kind):  # one by one each is judged by what it claims itself
+    if has_displacement(kind):  # one by one each is judged by what it claims itself
         longest = LONGEST_SLIP if of_velocity else LONGEST_JUMP
-        # iron beside the way lasts, and would pass for noise
-        largest, far = (1.0, DISTURBED) if kind == Kind.MAGNETIC else (LARGEST_CLAIM, FAR)
+        # iron beside the road lasts, and would pass for noise
+        largest, far = (1.0, NARROW_GATE) if kind == Kind.MAGNETIC else (LARGEST_NOISE_FACTOR, GATE)
         expected = variance + min(factor * claimed, max(largest * claimed, least**2))
         # so soon no IMU is wrong by as much
         slips = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < longest
         if squared < ROBUST * ROBUST * expected:
             mem[own + Seen.FITTED] = time
         if of_velocity and kind != Kind.VELOCITY and slips and squared > far * far * expected:
-            way.interrupt(mem, own)
+            displacement.interrupt(mem, own)
         if confirmed or slips:
             return density * factor, robust, far * math.sqrt(expected / (variance + density * factor * claimed))
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
@@ -156,7 +157,7 @@ def _is_elsewhere(mem, own, time, squared, expected, confirmed):
 
     squared, expected: mean square of its innovation, m^2. confirmed: whether fixes come.
     """
-    if confirmed and squared > max(DISTURBED**2 * expected, 0.5 * receiver.GATE_FLOOR**2):
+    if confirmed and squared > max(NARROW_GATE**2 * expected, 0.5 * receiver.GATE_FLOOR**2):
         mem[own + Seen.FITTED] = -time
     elif confirmed and squared < ROBUST**2 * expected:
         mem[own + Seen.FITTED] = time
@@ -180,37 +181,38 @@ def _constant_error(mem, at):
 
 @njit(_nrt=False)
 def is_contradicted(mem, r, at):
-    """Whether the ways of the input of the record at `at` are certainly not those of the fixes, or were not lately."""
+    """Whether the displacements of the input of the record at `at` contradict those of the fixes, or did so lately."""
     fitted = mem[seen_of(mem, r, at) + Seen.FITTED]
-    return makes_way(int(mem[at + Event.KIND])) and fitted < 0.0 and mem[at + Event.TIME] + fitted < RIGHT_AGAIN
+    return (has_displacement(int(mem[at + Event.KIND])) and fitted < 0.0
+            and mem[at + Event.TIME] + fitted < READMITTED_AFTER)
 
 
 @njit(_nrt=False)
-def _is_off(mem, r, at, n):
-    """Whether the ways of the input of the record at `at` are certainly not those of the fixes, and by more than its
+def _has_wrong_displacement(mem, r, at, n):
+    """Whether the displacements of the input of the record at `at` contradict those of the fixes, by more than its
     constant error, as estimated, may still be off; P is in the scratch."""
-    if not makes_way(int(mem[at + Event.KIND])):
+    if not has_displacement(int(mem[at + Event.KIND])):
         return False
-    error, tolerated = _constant_error(mem, at), way.TOLERATED
+    error, tolerated = _constant_error(mem, at), displacement.TOLERATED_SHARE
     if error >= 0:
-        tolerated = way.CERTAIN * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
-    return way.is_contradicted(mem, seen_of(mem, r, at), mem[at + Event.KIND], tolerated)
+        tolerated = displacement.SIGNIFICANT * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
+    return displacement.is_contradicted(mem, seen_of(mem, r, at), mem[at + Event.KIND], tolerated)
 
 
 @njit(_nrt=False)
-def add_to_way(mem, r, at, n, c, sample):
-    """Add the speed, velocity, twist or heading at `at` to the way of its input; c: rotation from b to n, sample:
+def integrate_displacement(mem, r, at, n, c, sample):
+    """Integrate the speed, velocity, twist or heading at `at` to a displacement; c: rotation from b to n, sample:
     position of the IMU sample of that time.
 
     Wheels tell the velocity of the axle, which does not go sideways. That of the antenna differs by the turn rate.
     """
     x, y, z = arm_of(mem, at)
-    yaw_variance, density = 0.0, SPEED_LASTS * mem[at + Event.R_NN]
+    yaw_variance, density = 0.0, SPEED_CORRELATION * mem[at + Event.R_NN]
     kind, error = mem[at + Event.KIND], _constant_error(mem, at)
     known = mem[r + NAV + error] if error >= 0 else 0.0
     if kind == Kind.VELOCITY:  # it has directions of its own
         v_n, v_e = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
-    elif is_of_heading(kind):  # a way in the direction of the heading
+    elif is_of_heading(kind):  # a displacement along the heading
         forward = body_velocity(mem, r, vehicle_to_level(mem, r, c), 0)
         yaw = magnetometer.heading(mem, r, at, c) if kind == Kind.MAGNETIC else mem[at + Event.VALUE] - known
         v_n, v_e = math.cos(yaw) * forward, math.sin(yaw) * forward
@@ -229,11 +231,11 @@ def add_to_way(mem, r, at, n, c, sample):
     if offset > 0 and not is_of_heading(kind):
         late = mem[r + NAV + offset]
         late_variance = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * offset]
-    way.travel(mem, r, seen_of(mem, r, at), mem[at + Event.TIME], v_n + north, v_e + east, density, yaw_variance, late,
-               late_variance)
+    displacement.integrate(mem, r, seen_of(mem, r, at), mem[at + Event.TIME], v_n + north, v_e + east, density,
+                           yaw_variance, late, late_variance)
     goes = abs(body_velocity(mem, r, vehicle_to_level(mem, r, c), 0))
-    if kind != Kind.VELOCITY and math.hypot(north, east) > max(goes, SLOWEST_TOLD):
-        way.interrupt(mem, seen_of(mem, r, at))  # in a turn on the spot the way is the turn's, and fits any speed
+    if kind != Kind.VELOCITY and math.hypot(north, east) > max(goes, SLOWEST_SPEED):
+        displacement.interrupt(mem, seen_of(mem, r, at))  # a turn on the spot moves the antenna, and fits any speed
 
 
 @njit(_nrt=False)
@@ -256,10 +258,10 @@ def leave_out_turn_rate(mem, r, at, n):
 
 
 @njit(_nrt=False)
-def take_step(mem, r, at, n):
+def absorb_step(mem, r, at, n):
     """A pressure that is far off at once is another air - a door, a fan, a tunnel - and not another height: its bias
     takes what it is off by."""
     bias, h = int(mem[at + Event.STATE]), int(mem[Head.SCRATCH_AT]) + n * n
     innovation = mem[at + Event.Z_N] - product(mem, n, h, r + NAV)
-    if bias >= 0 and innovation**2 > FAR**2 * (mem[at + Event.R_NN] + project(mem, n, h, h + 3 * n)):
+    if bias >= 0 and innovation**2 > GATE**2 * (mem[at + Event.R_NN] + project(mem, n, h, h + 3 * n)):
         mem[r + NAV + bias] -= innovation

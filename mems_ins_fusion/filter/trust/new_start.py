@@ -1,7 +1,7 @@
 """New starts: of the whole state from fixes that were refused although they are right, of the heading from the course.
 
 Sums over a row of refused fixes (`Nav.REFUSED` and the columns after it) give a line through their innovations. Fixes
-that lie on it agree with each other, and its slope tells whether the filter has strayed from them.
+that lie on it agree with each other, and its slope tells whether the filter has diverged from them.
 """
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from . import hypotheses
 from .drift import Drift
 from .hypotheses import Hypothesis
 from .receiver import Receiver, realised_scatter
-from .scale import begin_scale
+from .scale import reset_scale
 
 #: s: fixes further apart say nothing of the course, as the vehicle may have turned between them
 LONGEST_PAIR = 3.0
 #: fixes refused in a row before they can win: a line through fewer fits anything
 FEWEST_REFUSED = 5
-#: s after which fixes from which the filter strays win over it: innovations that grow by STRAYED_SLOPE have then
-#: grown by more than fixes scatter
-STRAYED_AFTER = 2.0
+#: s after which a filter that diverges from refused fixes starts anew from them: innovations that grow by
+#: DIVERGED_SLOPE have then grown by more than fixes scatter
+DIVERGED_AFTER = 2.0
 #: m/s, by which they then grow at least: a receiver's errors do not, but for one that drifts
-STRAYED_SLOPE = 2.0
-#: share of the size of the refused innovations by which they have grown where the filter strayed from the fixes: those
+DIVERGED_SLOPE = 2.0
+#: share of the size of the refused innovations by which they have grown where the filter diverged from the fixes: those
 #: of a receiver that jumped stay as they were
-STRAYED_PART = 0.5
-#: probability below which it is no chance that innovations of fixes that only scatter have a slope: one in a thousand
+DIVERGED_SHARE = 0.5
+#: probability below which it is significant that innovations of fixes that only scatter have a slope: one in a thousand
 #: rows of refused fixes
-CHANCE = 0.001
-#: s within which a filter that strays once more is counted as straying again
-SOON = 300.0
+SIGNIFICANCE = 0.001
+#: s within which a filter that diverges once more is counted as diverging again
+AGAIN_WITHIN = 300.0
 #: sigmas by which refused fixes that agree scatter about a line at most
-AGREEMENT = 2.0
+AGREEMENT_SIGMAS = 2.0
 #: m more: a vehicle that brakes or turns leaves the line by about so much
 AGREEMENT_FLOOR = 1.0
 #: and this share of how far they are off, as the line of a filter that turned away is none
-AGREEMENT_PART = 0.3
+AGREEMENT_SHARE = 0.3
 #: m/s, sigma of a new start's velocity besides what the fixes tell: what a vehicle gains between two of them
 NEW_VELOCITY_SIGMA = 0.5
 #: rad, sigma of its tilt: a steep road
@@ -80,9 +80,9 @@ def note(mem, r, at):
 def are_refused(mem, r):
     """Whether so many fixes have been refused in a row, the latest with the state at r, and agree so well that they are
     no outliers; not where the filter is certainly wrong."""
-    return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED and mem[r + Hypothesis.DOUBTS] == 0.0
-            and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] >= STRAYED_AFTER
-            and _agree(mem, r, 2.0 * mem[r + Receiver.CLAIMED]) and not _strayed(mem, r, mem[r + Nav.FIX_TIME]))
+    return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED and mem[r + Hypothesis.FIXES_WRONG] == 0.0
+            and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] >= DIVERGED_AFTER
+            and _agree(mem, r, 2.0 * mem[r + Receiver.CLAIMED]) and not _diverged(mem, r, mem[r + Nav.FIX_TIME]))
 
 
 @njit(_nrt=False)
@@ -90,12 +90,12 @@ def is_due(mem, r, at):
     """Whether the state at r starts anew from the fix at `at`: `bank.py` has decided so, or those refused before it
     were right. They have come for long enough, and their innovations lie on a line, as the error of a position and a
     velocity would."""
-    if mem[r + Hypothesis.STARTS] != 0.0:
+    if mem[r + Hypothesis.START_DUE] != 0.0:
         return True
     lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]
-    if mem[r + Nav.REFUSED] < FEWEST_REFUSED or lasted < min(STRAYED_AFTER, mem[Head.RECOVERY_TIME]):
+    if mem[r + Nav.REFUSED] < FEWEST_REFUSED or lasted < min(DIVERGED_AFTER, mem[Head.RECOVERY_TIME]):
         return False
-    if lasted < mem[Head.RECOVERY_TIME] and not _strayed(mem, r, mem[at + Event.TIME]):
+    if lasted < mem[Head.RECOVERY_TIME] and not _diverged(mem, r, mem[at + Event.TIME]):
         return False
     return _agree(mem, r, mem[at + Event.R_NN] + mem[at + Event.R_EE])
 
@@ -106,7 +106,7 @@ def _agree(mem, r, claimed):
     _, _, spread, _ = _line(mem, r)
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
     sigma = math.sqrt(max(1.0, realised_scatter(mem, r)) * claimed)
-    return math.sqrt(spread) < AGREEMENT * (sigma + AGREEMENT_FLOOR) + AGREEMENT_PART * size
+    return math.sqrt(spread) < AGREEMENT_SIGMAS * (sigma + AGREEMENT_FLOOR) + AGREEMENT_SHARE * size
 
 
 @njit(_nrt=False)
@@ -131,18 +131,18 @@ def start_anew(mem, r, at):
     The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
     """
     # where it may as well be the fixes that are wrong, nothing is said against the IMU
-    strayed = mem[r + Hypothesis.STARTS] == 0.0 and _strayed(mem, r, mem[at + Event.TIME])
-    mem[r + Hypothesis.STARTS] = 0.0
-    v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
-    if strayed:
-        again = mem[r + Nav.STRAYED] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.STRAYED_TIME] < SOON
-        mem[r + Nav.STRAYED] = mem[r + Nav.STRAYED] + 1.0 if again else 1.0
-        mem[r + Nav.STRAYED_TIME] = mem[at + Event.TIME]
+    diverged = mem[r + Hypothesis.START_DUE] == 0.0 and _diverged(mem, r, mem[at + Event.TIME])
+    mem[r + Hypothesis.START_DUE] = 0.0
+    v_n, v_e, drift = _velocity_of_fixes(mem, r, at, diverged)
+    if diverged:
+        again = mem[r + Nav.DIVERGENCES] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.DIVERGENCE_TIME] < AGAIN_WITHIN
+        mem[r + Nav.DIVERGENCES] = mem[r + Nav.DIVERGENCES] + 1.0 if again else 1.0
+        mem[r + Nav.DIVERGENCE_TIME] = mem[at + Event.TIME]
     mem[r + Drift.TIME] = mem[r + Receiver.FIRST] = 0.0
     # the innovations until now were those of a state that was wrong
-    begin_scale(mem, r + Receiver.INNOVATION_SCALE)
+    reset_scale(mem, r + Receiver.INNOVATION_SCALE)
     for i in range(3):
-        mem[r + Nav.SLOW_N + i] = mem[r + Receiver.FOLLOWED + i] = 0.0
+        mem[r + Nav.SLOW_N + i] = mem[r + Receiver.SHORT_PASSED + i] = 0.0
     mem[r + Nav.VARIANCE_FACTOR] = 1.0
     (n, p), n_navigation = scratch_of(mem), int(mem[Head.N_NAVIGATION])
     for i in range(n):
@@ -172,7 +172,7 @@ def start_anew(mem, r, at):
             mem[p + (n + 1) * state] = value
     take_course(mem, r, v_n, v_e, drift)
     mem[r + Nav.RECOVERIES] += 1.0
-    hypotheses.claim(mem, r, hypotheses.STRAYED)
+    hypotheses.add_prior(mem, r, hypotheses.DIVERGENCE_PRIOR)
 
 
 @njit(_nrt=False)
@@ -183,12 +183,12 @@ def _since_last_fix(mem, r, at):
 
 
 @njit(_nrt=False)
-def _velocity_of_fixes(mem, r, at, strayed):
+def _velocity_of_fixes(mem, r, at, diverged):
     """Velocity (north, east) that the refused fixes show, and its variance: by how they drift from the filter, whose
-    own may be of no use where it has strayed, or by the last two of them."""
+    own may be of no use where it has diverged, or by the last two of them."""
     slope_n, slope_e, _, variance = _line(mem, r)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
-    if not strayed or not 0.0 < interval < LONGEST_PAIR:
+    if not diverged or not 0.0 < interval < LONGEST_PAIR:
         return mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e, NEW_VELOCITY_SIGMA**2 + variance
     north, east = _since_last_fix(mem, r, at)
     claimed = max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
@@ -197,18 +197,18 @@ def _velocity_of_fixes(mem, r, at, strayed):
 
 
 @njit(_nrt=False)
-def _strayed(mem, r, time):
-    """Whether it was the filter that strayed from the fixes refused until `time`, s: away from those of a receiver that
-    jumps it is as far as at first."""
+def _diverged(mem, r, time):
+    """Whether it was the filter that diverged from the fixes refused until `time`, s: from those of a receiver that
+    jumps it stays as far as at first."""
     slope_n, slope_e, _, variance = _line(mem, r)
     slope, free = math.hypot(slope_n, slope_e), max(mem[r + Nav.REFUSED] - 2.0, 1.0)
     if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
-        return False  # who hardly moves cannot stray
+        return False  # who hardly moves cannot diverge
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
     # probability of such a slope of fixes that only scatter: F distribution with 2 and 2 (n - 2) degrees of freedom
     chance = (1.0 + 0.5 * slope * slope / (free * max(variance, 1e-9))) ** -free
-    return (slope > STRAYED_SLOPE and chance < CHANCE
-            and slope * (time - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size)
+    return (slope > DIVERGED_SLOPE and chance < SIGNIFICANCE
+            and slope * (time - mem[r + Nav.REFUSED_SINCE]) > DIVERGED_SHARE * size)
 
 
 @njit(_nrt=False)
@@ -234,7 +234,7 @@ def take_course(mem, r, v_n, v_e, drift):
 
 
 @njit(_nrt=False)
-def finds_course(mem, r, at):
+def course_velocity(mem, r, at):
     """Whether the heading is unknown and the way since the last fix tells it: the velocity then, else zeros."""
     (n, p), k = scratch_of(mem), yaw_state(mem)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]

@@ -26,16 +26,16 @@ ROUNDED_SPEED, ROUNDED_HEADING = 1.0, 0.1
 #: and of what the inertial sensors may be wrong by: m/s^2, a tilt of two degrees, and rad/s
 UNSEEN_ACCELERATION, UNSEEN_RATE = 0.3, 0.005
 #: s over which that is added up: shorter than a car takes to gain what rounding hides, or errors would pass for it
-MEMORY = 5.0
+FORGETTING_TIME = 5.0
 #: messages in a row, each unlike the one before it, while the vehicle moved: after as many an input counts as one that
 #: does not repeat itself. One that rounds to a tenth of its noise repeats each tenth
 LIVELY = 100.0
 #: messages in a row that such an input repeats before it has stopped: two or three come twice on a busy bus
 FEWEST_EQUAL = 4.0
 #: stands for more than is explained
-STUCK = 1e6
+UNEXPLAINED = 1e6
 #: s for which a speed in steps may stay as it is, and m/s^2, by which it is less known from then on
-STEADY, AGEING = 2.0, 0.1
+LONGEST_STEADY, AGEING = 2.0, 0.1
 
 
 @njit(_nrt=False)
@@ -56,35 +56,37 @@ def is_stuck(mem, r, at):
         same = _repeats(mem, at, own + Seen.LATEST)
         mem[own + Seen.LATEST + 1] = mem[at + Event.VALUE + 1]
     mem[own + Seen.LATEST] = mem[at + Event.VALUE]
-    since, mem[own + Seen.SAID] = mem[at + Event.TIME] - mem[own + Seen.SAID], mem[at + Event.TIME]
+    since, mem[own + Seen.LATEST_TIME] = mem[at + Event.TIME] - mem[own + Seen.LATEST_TIME], mem[at + Event.TIME]
     moving = moves(mem, r)
     if moving:
         _count(mem, own, same)
     if not same:
         mem[own + Seen.SINCE], mem[own + Seen.GAINED] = mem[at + Event.TIME], 0.0
         return False
-    if moving and (kind == Kind.PLACE or kind == Kind.VELOCITY) or mem[own + Seen.OTHERS] >= LIVELY + FEWEST_EQUAL:
-        mem[own + Seen.GAINED] = STUCK
+    if moving and (kind == Kind.PLACE or kind == Kind.VELOCITY) or mem[own + Seen.DIFFERENT] >= LIVELY + FEWEST_EQUAL:
+        mem[own + Seen.GAINED] = UNEXPLAINED
     if not is_of_velocity(kind) and not is_of_heading(kind):  # no inertial sensor shows how it changes
-        return mem[own + Seen.GAINED] == STUCK
-    gained, explained = _told(mem, r, kind) - mem[own + Seen.LEFT], ROUNDED_SPEED + UNSEEN_ACCELERATION * MEMORY
+        return mem[own + Seen.GAINED] == UNEXPLAINED
+    gained = _told(mem, r, kind) - mem[own + Seen.LEFT]
+    explained = ROUNDED_SPEED + UNSEEN_ACCELERATION * FORGETTING_TIME
     if is_of_heading(kind):
-        gained, explained = math.atan2(math.sin(gained), math.cos(gained)), ROUNDED_HEADING + UNSEEN_RATE * MEMORY
-    if mem[own + Seen.GAINED] != STUCK:  # until it says something else
-        mem[own + Seen.GAINED] = mem[own + Seen.GAINED] * math.exp(-max(since, 0.0) / MEMORY) + gained
+        gained = math.atan2(math.sin(gained), math.cos(gained))
+        explained = ROUNDED_HEADING + UNSEEN_RATE * FORGETTING_TIME
+    if mem[own + Seen.GAINED] != UNEXPLAINED:  # until it says something else
+        mem[own + Seen.GAINED] = mem[own + Seen.GAINED] * math.exp(-max(since, 0.0) / FORGETTING_TIME) + gained
         if abs(mem[own + Seen.GAINED]) > explained:
-            mem[own + Seen.GAINED] = STUCK
-    return mem[own + Seen.GAINED] == STUCK
+            mem[own + Seen.GAINED] = UNEXPLAINED
+    return mem[own + Seen.GAINED] == UNEXPLAINED
 
 
 @njit(_nrt=False)
 def _count(mem, own, same):
     """Count the messages in a row that are other ones, up to LIVELY, and after as many those that are the same."""
-    count = mem[own + Seen.OTHERS]
+    count = mem[own + Seen.DIFFERENT]
     if same:
-        mem[own + Seen.OTHERS] = count + 1.0 if count >= LIVELY else 0.0
+        mem[own + Seen.DIFFERENT] = count + 1.0 if count >= LIVELY else 0.0
     else:
-        mem[own + Seen.OTHERS] = min(count + 1.0, LIVELY) if count <= LIVELY else 0.0
+        mem[own + Seen.DIFFERENT] = min(count + 1.0, LIVELY) if count <= LIVELY else 0.0
 
 
 @njit(_nrt=False)
@@ -93,7 +95,7 @@ def unknown(mem, own, time):
     of zero is usual: vehicles stand."""
     if mem[own + Seen.LATEST] == 0.0:
         return 0.0
-    return (AGEING * max(time - mem[own + Seen.SINCE] - STEADY, 0.0)) ** 2
+    return (AGEING * max(time - mem[own + Seen.SINCE] - LONGEST_STEADY, 0.0)) ** 2
 
 
 @njit(_nrt=False)

@@ -7,13 +7,13 @@ what receivers and data sheets claim: a normal distribution of the logarithm, as
 ways to learn:
 
 * `learn_changes`, from deviations that have little in common. Their likelihood is that of a chi-square variable, but
-  for OUTLIERS, which may be of any size and say nothing; mean and variance of the product of prior and likelihood are
-  integrated over NODES (assumed density filtering, P. S. Maybeck, *Stochastic Models, Estimation, and Control* 2, 1982,
-  12.7). A scale stays as it is, until it becomes another one: a receiver among houses, a mount that comes loose. So
-  there are two hypotheses, each with an estimate: the scale is as it was, or it has become another one lately, with the
-  prior again. The more probable one is used. One deviation that is far off is an outlier, several in a row are another
-  scale. (R. P. Adams and D. J. C. MacKay, "Bayesian online changepoint detection", 2007, has as many hypotheses as
-  there are instants.)
+  for outliers (OUTLIER_DENSITY), which may be of any size and say nothing; mean and variance of the product of prior
+  and likelihood are integrated over NODES (assumed density filtering, P. S. Maybeck, *Stochastic Models, Estimation,
+  and Control* 2, 1982, 12.7). A scale stays as it is, until it becomes another one: a receiver among houses, a mount
+  that comes loose. So there are two hypotheses, each with an estimate: the scale is as it was, or it has become another
+  one lately, with the prior again. The more probable one is used. One deviation that is far off is an outlier, several
+  in a row are another scale. (R. P. Adams and D. J. C. MacKay, "Bayesian online changepoint detection", 2007, has as
+  many hypotheses as there are instants.)
 * `learn`, from means that have much in common, each of which tells a little: a Kalman filter with one state for the
   logarithm, which forgets (M. S. Bartlett and D. G. Kendall, "The statistical analysis of variance-heterogeneity and
   the logarithmic transformation", Supplement to J. Royal Statistical Society 8, 1946). A deviation of any size counts
@@ -37,13 +37,13 @@ class _Scale(NamedTuple):
     """Columns of one scale: mean of the logarithm, and how much of PRIOR its variance has lost. Zeros: the prior."""
 
     LOG: int = 0
-    KNOWN: int = 1
+    REDUCED: int = 1
     TIME: int = 2  # s, of the latest deviation
     SIZE: int = 3  # of one that `learn` follows
     OTHER_LOG: int = 3  # of one that `learn_changes` follows, mean and variance if it has become another one lately,
-    OTHER_KNOWN: int = 4
-    OTHER: int = 5  # and the probability of that
-    CHANGING: int = 6  # size of that
+    OTHER_REDUCED: int = 4
+    CHANGED: int = 5  # and the probability of that
+    CHANGING_SIZE: int = 6  # size of that
 
 
 Scale = _Scale()
@@ -53,29 +53,29 @@ class _Seen(NamedTuple):
     """Columns of what is seen of one input besides the fixes."""
 
     SCALE: int = 0  # a `Scale` that changes
-    WAY: int = 6  # m, north and east, that its speeds make up since the fix START, see trust/way.py,
-    WAY_TIME: int = 8  # s, till when; 0: it is no speed
+    DISPLACEMENT: int = 6  # m, north and east, by its speeds since the fix START, see trust/displacement.py,
+    DISPLACEMENT_TIME: int = 8  # s, till when; 0: it is no speed
     START: int = 9  # time, s, latitude and longitude, rad, of that fix; time 0: none
-    LAST: int = 12  # velocity north and east with which its way ends, m/s
-    VARIANCE: int = 14  # of that way, m^2
-    GAP: int = 15  # m, north and east: how far its way has gone from the antenna, estimated less measured at START,
-    GAP_VARIANCE: int = 17  # the variance of that estimate, m^2,
-    TOGETHER: int = 18  # and its covariance with the share, m
-    SHARE: int = 20  # by which that way is longer than the one of the fixes, and turned,
-    KNOWN: int = 22  # and how much of `way.PRIOR` its variance has lost,
+    LAST: int = 12  # velocity north and east at its end, m/s
+    VARIANCE: int = 14  # of that displacement, m^2
+    DISTANCE: int = 15  # m, north and east, from the antenna to the integral, estimated less measured at START,
+    DISTANCE_VARIANCE: int = 17  # the variance of that estimate, m^2,
+    COVARIANCE: int = 18  # and its covariance with the share, m
+    SHARE: int = 20  # by which its displacements are longer than those of the fixes, and turned,
+    REDUCED: int = 22  # and how much of `displacement.PRIOR` its variance has lost,
     COMPARED: int = 23  # 1: enough of it at some time, -1: no more, and it was wrong
-    SURPRISED: int = 24  # fixes in a row that were too far off for it
+    REJECTED: int = 24  # fixes in a row beyond its gate
     FITTED: int = 25  # time, s, of the latest one that fitted; negative: of the latest that fixes contradict
     LATEST: int = 26  # two values of the latest message, see trust/repeats.py,
-    SAID: int = 28  # time of it, s,
+    LATEST_TIME: int = 28  # time of it, s,
     GAINED: int = 29  # by how much the state has changed since it says that, between messages, m/s or rad,
     LEFT: int = 30  # and what it was after the latest,
     SINCE: int = 31  # time, s, since which it says that
-    OTHERS: int = 32  # messages in a row that were other ones, see trust/repeats.py
-    LATER: int = 33  # 1/s: what the latest ones say of its time offset, beside the estimate, over the variance of that,
-    TELLS: int = 34  # 1/s^2, the inverse of that variance,
+    DIFFERENT: int = 32  # messages in a row that were other ones, see trust/repeats.py
+    JUMP_SCORE: int = 33  # 1/s: error of its time offset by the latest innovations, over the variance of that error,
+    JUMP_INFORMATION: int = 34  # 1/s^2: the inverse of that variance,
     FOLLOWED: int = 35  # and by what the state follows, in each component, for each s: see trust/clock_jump.py
-    GONE: int = 37  # m, north and east, by which the filter has gone since START
+    TRAVELLED: int = 37  # m, north and east, by which the filter has gone since START
     SIZE: int = 39
 
 
@@ -85,21 +85,21 @@ Inputs = HEAD.place('Inputs', COUNT=1)  # how many inputs there are but the fixe
 #: variance of the logarithm before anything is seen: a claimed sigma is off by a factor of three, one sigma
 PRIOR = 4.8
 #: 1/s: a scale becomes another one once in twenty minutes: what a drive through a city brings
-CHANGES = 1.0 / 1200.0
+CHANGE_RATE = 1.0 / 1200.0
 #: 1/s, by which the variance of one that `learn` follows grows: by a factor of e within ten minutes
-WANDERS = 1.0 / 600.0
+LOG_WALK = 1.0 / 600.0
 #: mean and variance of the logarithm of a mean square of normal numbers with expectation 1, of one and of two
 LOG_MEAN = (-1.2704, -0.5772)
 LOG_VARIANCE = (4.9348, 1.6449)
 #: a deviation beyond so many sigma of the logarithm counts as that
-LARGEST_SURPRISE = 2.0
-#: multiple of the assumed variance that is believed at least: a tenth of the sigma, as much as anybody claims too much
-SMALLEST = 0.01
+LARGEST_INNOVATION = 2.0
+#: least multiple of the assumed variance that is used: a tenth of the sigma, as much as anybody claims too much
+SMALLEST_SCALE = 0.01
 #: and at most: a thousand times the sigma
-LARGEST = 1e6
-#: share of deviations that say nothing, `hypotheses.OUTLIERS`, over 14: they are spread evenly over the logarithm of
-#: their square, from metres to kilometres
-OUTLIERS = 0.01 / 14.0
+LARGEST_SCALE = 1e6
+#: share of deviations that say nothing, `hypotheses.OUTLIER_SHARE`, over 14: they are spread evenly over the logarithm
+#: of their square, from metres to kilometres
+OUTLIER_DENSITY = 0.01 / 14.0
 #: abscissas, in sigmas, and their weights, at which a normal distribution is integrated: the trapezoidal rule
 NODES = tuple(0.5 * i for i in range(-7, 8))
 WEIGHTS = tuple(0.5 / math.sqrt(2.0 * math.pi) * math.exp(-0.5 * node * node) for node in NODES)
@@ -117,21 +117,21 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
 
     squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: of this one.
     """
-    known = mem[at + Scale.KNOWN] - WANDERS * max(time - mem[at + Scale.TIME], 0.0)
+    known = mem[at + Scale.REDUCED] - LOG_WALK * max(time - mem[at + Scale.TIME], 0.0)
     variance, mem[at + Scale.TIME] = PRIOR - max(known, 0.0), time
     share = math.exp(mem[at + Scale.LOG]) * part
     expected = share + rest
     share /= expected
     noise = LOG_VARIANCE[dimensions - 1] / weight
     shown = max(squared, 1e-12 * expected) / math.exp(LOG_MEAN[dimensions - 1])
-    surprise = math.log(shown / expected)
-    if surprise > LARGEST_SURPRISE * math.sqrt(LOG_VARIANCE[dimensions - 1]):  # no chance: up to what explains it
-        share = surprise / (math.log((shown - rest) / part) - mem[at + Scale.LOG])
-    largest = LARGEST_SURPRISE * math.sqrt(share * share * variance + LOG_VARIANCE[dimensions - 1])
+    innovation = math.log(shown / expected)
+    if innovation > LARGEST_INNOVATION * math.sqrt(LOG_VARIANCE[dimensions - 1]):  # no chance: up to what explains it
+        share = innovation / (math.log((shown - rest) / part) - mem[at + Scale.LOG])
+    largest = LARGEST_INNOVATION * math.sqrt(share * share * variance + LOG_VARIANCE[dimensions - 1])
     gain = share * variance / (share * share * variance + noise)
-    level = mem[at + Scale.LOG] + gain * max(-largest, min(surprise, largest))
-    mem[at + Scale.LOG] = max(math.log(SMALLEST), min(level, math.log(LARGEST)))
-    mem[at + Scale.KNOWN] = PRIOR - variance + gain * share * variance
+    level = mem[at + Scale.LOG] + gain * max(-largest, min(innovation, largest))
+    mem[at + Scale.LOG] = max(math.log(SMALLEST_SCALE), min(level, math.log(LARGEST_SCALE)))
+    mem[at + Scale.REDUCED] = PRIOR - variance + gain * share * variance
 
 
 @njit(_nrt=False)
@@ -143,37 +143,37 @@ def learn_changes(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     a deviation as large.
     """
     if mem[at + Scale.TIME] != 0.0:
-        _may_change(mem, at, 1.0 - math.exp(-CHANGES * max(time - mem[at + Scale.TIME], 0.0)))
+        _may_change(mem, at, 1.0 - math.exp(-CHANGE_RATE * max(time - mem[at + Scale.TIME], 0.0)))
     mem[at + Scale.TIME] = time
     same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, weight)
     other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions, weight)
-    share = mem[at + Scale.OTHER]
+    share = mem[at + Scale.CHANGED]
     allowed += share * (allowed_by_other - allowed)
     share = share * other / (share * other + (1.0 - share) * same)
     if share > 0.5:
-        mem[at + Scale.LOG], mem[at + Scale.KNOWN] = mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_KNOWN]
+        mem[at + Scale.LOG], mem[at + Scale.REDUCED] = mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED]
         share = 0.0
-    mem[at + Scale.OTHER] = share
-    mem[at + Scale.LOG] = max(math.log(SMALLEST), min(mem[at + Scale.LOG], math.log(LARGEST)))
-    return allowed > OUTLIERS
+    mem[at + Scale.CHANGED] = share
+    mem[at + Scale.LOG] = max(math.log(SMALLEST_SCALE), min(mem[at + Scale.LOG], math.log(LARGEST_SCALE)))
+    return allowed > OUTLIER_DENSITY
 
 
 @njit(_nrt=False)
 def _may_change(mem, at, probability):
     """That the scale at `at` has become another one since the latest deviation, with this probability: the prior again.
     """
-    share = mem[at + Scale.OTHER] + (1.0 - mem[at + Scale.OTHER]) * probability
+    share = mem[at + Scale.CHANGED] + (1.0 - mem[at + Scale.CHANGED]) * probability
     if share == 0.0:
         return
     # mean and variance of a mixture of two normal distributions
-    earlier, level, known = mem[at + Scale.OTHER] / share, mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_KNOWN]
-    mem[at + Scale.OTHER], mem[at + Scale.OTHER_LOG] = share, earlier * level
-    mem[at + Scale.OTHER_KNOWN] = earlier * (known - (1.0 - earlier) * level * level)
+    earlier, level, known = mem[at + Scale.CHANGED] / share, mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED]
+    mem[at + Scale.CHANGED], mem[at + Scale.OTHER_LOG] = share, earlier * level
+    mem[at + Scale.OTHER_REDUCED] = earlier * (known - (1.0 - earlier) * level * level)
 
 
 @njit(_nrt=False)
 def _learn_one(mem, at, squared, part, rest, dimensions, weight):
-    """Learn from a deviation as one of both hypotheses; at: of its mean. Its likelihood, and without OUTLIERS."""
+    """Learn from a deviation as one of both hypotheses; at: of its mean. Its likelihood, and that without outliers."""
     level, sigma = mem[at], math.sqrt(max(PRIOR - mem[at + 1], 0.0))
     shown = max(squared, 1e-12 * (part + rest))
     total = mean = square = allowed = 0.0
@@ -181,7 +181,7 @@ def _learn_one(mem, at, squared, part, rest, dimensions, weight):
         node = sigma * NODES[i]
         likelihood = _times_square(shown / (math.exp(level + node) * part + rest), dimensions)
         allowed += WEIGHTS[i] * likelihood
-        probability = WEIGHTS[i] * (likelihood + OUTLIERS) ** weight
+        probability = WEIGHTS[i] * (likelihood + OUTLIER_DENSITY) ** weight
         total += probability
         mean += probability * node
         square += probability * node * node
@@ -198,9 +198,9 @@ def _times_square(ratio, dimensions):
 
 
 @njit(_nrt=False)
-def begin_scale(mem, at):
+def reset_scale(mem, at):
     """Nothing is known of the scale at `at`, which `learn` follows, but the prior."""
-    mem[at + Scale.LOG] = mem[at + Scale.KNOWN] = 0.0
+    mem[at + Scale.LOG] = mem[at + Scale.REDUCED] = 0.0
 
 
 @njit(_nrt=False)
@@ -210,16 +210,16 @@ def reopen(mem, at, factor):
     The realised one stays as it is, or it is as assumed, where that is more, and may be any other: both hypotheses are
     as probable. Of several calls the first one's is kept.
     """
-    if mem[at + Scale.OTHER] < 0.5:
-        mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_KNOWN] = mem[at + Scale.LOG], mem[at + Scale.KNOWN]
+    if mem[at + Scale.CHANGED] < 0.5:
+        mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED] = mem[at + Scale.LOG], mem[at + Scale.REDUCED]
     mem[at + Scale.OTHER_LOG] -= math.log(factor)
-    mem[at + Scale.OTHER] = 0.5
+    mem[at + Scale.CHANGED] = 0.5
     mem[at + Scale.LOG] = max(mem[at + Scale.LOG] - math.log(factor), 0.0)
-    mem[at + Scale.KNOWN] = 0.0
+    mem[at + Scale.REDUCED] = 0.0
 
 
 @njit(_nrt=False)
 def scale(row, at):
     """Realised over assumed variance: as seen where it is more, where it is less only as far as that is certain."""
-    level, variance = row[at + Scale.LOG], max(PRIOR - row[at + Scale.KNOWN], 0.0)
+    level, variance = row[at + Scale.LOG], max(PRIOR - row[at + Scale.REDUCED], 0.0)
     return math.exp(level if level > 0.0 else min(level + math.sqrt(variance), 0.0))

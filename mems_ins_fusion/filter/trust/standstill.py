@@ -33,16 +33,16 @@ Still = HEAD.place(
     MOTION=1,  # logarithm of the least root mean square of it in motion
     REST=1)  # and of what is usual at rest
 #: of a state
-Told = ROW.place('Told', MOTION=1)  # s: time of the latest speed where that is certainly one of motion, else 0
+WheelMotion = ROW.place('WheelMotion', TIME=1)  # s: time of the latest speed if that is significant, else 0
 
 #: sigmas that it claims, beyond which a speed is certainly one of motion,
-CERTAIN = 3.0
+SIGNIFICANT = 3.0
 #: m/s, and which it is in any case: some claim less than what they scatter at rest
-SLOWEST_TOLD = 0.1
+SLOWEST_SPEED = 0.1
 #: rad/s, and the same of the turn rate of an odometry
 SLOWEST_TURN = 0.02
 #: s after which such a speed says nothing any more
-LONGEST_TOLD = 1.0
+LONGEST_VALID = 1.0
 #: m/s: a vehicle certainly moves where its speed, less two sigma, is above this: a slower one may stand
 MOVING_SPEED = 1.0
 #: s: time constant of each of the two low passes; an engine shakes faster than what they leave
@@ -55,9 +55,9 @@ WINDOW = 1.5
 #: a standstill is quieter than the quietest motion by this factor, and may be louder than other standstills by the same
 SEPARATION = 2.0
 #: s: time constant with which the quietest motion is forgotten; roads and loads change in minutes
-FORGET = 600.0
+FORGETTING_TIME = 600.0
 #: s: the level at rest is a mean over this
-REST = 5.0
+REST_TIME = 5.0
 #: m/s^2: the quietest motion of a vehicle of which nothing is known yet; it is learned within a minute
 EXPECTED_MOTION = 0.05
 #: m/s^2: and its level at rest
@@ -79,18 +79,18 @@ def moves(mem, r):
 
 
 @njit(_nrt=False)
-def take_speed(mem, r, at):
-    """Remember what the speed or odometry at `at`, which is believed, says of the motion of the state at r."""
-    moves = mem[at + Event.VALUE] ** 2 > max(CERTAIN**2 * mem[at + Event.R_NN], SLOWEST_TOLD**2)
+def note_speed(mem, r, at):
+    """Remember what the speed or odometry at `at`, which is used, says of the motion of the state at r."""
+    moves = mem[at + Event.VALUE] ** 2 > max(SIGNIFICANT**2 * mem[at + Event.R_NN], SLOWEST_SPEED**2)
     if mem[at + Event.KIND] == Kind.TWIST:  # false of a turn rate that is not measured, NaN
-        moves = moves or mem[at + Event.VALUE + 2] ** 2 > max(CERTAIN**2 * mem[at + Event.R_DD], SLOWEST_TURN**2)
-    mem[r + Told.MOTION] = mem[at + Event.TIME] if moves else 0.0
+        moves = moves or mem[at + Event.VALUE + 2] ** 2 > max(SIGNIFICANT**2 * mem[at + Event.R_DD], SLOWEST_TURN**2)
+    mem[r + WheelMotion.TIME] = mem[at + Event.TIME] if moves else 0.0
 
 
 @njit(_nrt=False)
 def wheels_turn(mem, r):
     """Whether a speed has said lately that the vehicle moves."""
-    return mem[r + Told.MOTION] != 0.0 and mem[r + Nav.TIME] - mem[r + Told.MOTION] < LONGEST_TOLD
+    return mem[r + WheelMotion.TIME] != 0.0 and mem[r + Nav.TIME] - mem[r + WheelMotion.TIME] < LONGEST_VALID
 
 
 @njit(_nrt=False)
@@ -119,9 +119,9 @@ def is_still(mem, sample, dt, moving, anew):
     level, separation = 0.5 * math.log(max(mean, 1e-12)), math.log(SEPARATION)
     motion, rest = mem[Still.MOTION], mem[Still.REST]
     if moving:  # the least there is: down at once, though not by one sample alone, and up slowly
-        motion = min(motion + dt / FORGET, max(level, motion - 2.0 * dt))
+        motion = min(motion + dt / FORGETTING_TIME, max(level, motion - 2.0 * dt))
     elif level < motion - separation:
-        rest += min(1.0, dt / REST) * (level - rest)
+        rest += min(1.0, dt / REST_TIME) * (level - rest)
     mem[Still.MOTION], mem[Still.REST] = motion, rest
     threshold = min(max(0.5 * (motion + rest), rest + separation), motion - separation)
     return 1.0 if level < threshold and not moving else 0.0

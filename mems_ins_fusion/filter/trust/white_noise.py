@@ -16,29 +16,29 @@ from ..memory import HEAD, SAMPLE, WHITE, Head, Sample, nonnegative, sample_at
 
 #: whether it is used; s in which the samples showed far more than is assumed
 White = HEAD.place('White', ADAPT=1, SHAKEN=1)
-#: beside a sample: noise density squared of each axis that the samples show lately, and of f_y over LONG_MEMORY
+#: beside a sample: noise density squared of each axis that the samples show lately, and of f_y over LONG_MEAN_TIME
 Shown = SAMPLE.place('Shown', WHITE=6, SIDEWAYS=1)
 
 #: s over which the squared differences are averaged: the noise changes with the road and the engine
-MEMORY = 3.0
+MEAN_TIME = 3.0
 #: s over which that of the sideways accelerometer is averaged again: whether the vehicle shakes the IMU altogether
-LONG_MEMORY = 60.0
+LONG_MEAN_TIME = 60.0
 #: s in which the velocity integrated from samples is compared with a constraint on it: where the noise moves it by
 #: more than the constraint's sigma in that, noise passes for turns, and the speed for what goes with turns
-TOLD_WITHIN = 1.0
+COMPARED_OVER = 1.0
 #: of the difference: a motion at a quarter of the sampling rate counts 2^n / binomial(2 n, n) of its variance
 ORDER = 6
 #: a gyroscope that shows so many times the noise density assumed is worth a word
-FAR_MORE = 5.0
+NOTEWORTHY = 5.0
 #: samples are evenly spaced where no interval is longer or shorter than the last by this factor
-EVEN = 1.5
+EVEN_RATIO = 1.5
 _WEIGHTS = tuple((-1) ** j * math.comb(ORDER, j) / math.sqrt(math.comb(2 * ORDER, ORDER)) for j in range(ORDER + 1))
 
 
 @njit(_nrt=False)
 def show_noise(mem, k, dt):
     """Noise density squared of each axis, beside sample k, dt s after the one before it; what is known of that, where
-    one of those that the difference needs is missing or not believed."""
+    one of those that the difference needs is missing or not used."""
     if mem[White.ADAPT] == 0.0:
         return
     at, last = nonnegative(sample_at(mem, k)), nonnegative(sample_at(mem, k - 1))
@@ -50,7 +50,7 @@ def show_noise(mem, k, dt):
         later, earlier = nonnegative(sample_at(mem, k - j)), nonnegative(sample_at(mem, k - j - 1))
         interval = mem[later + Sample.INTERVAL]
         if mem[later + Sample.FAULT] != 0.0 or mem[earlier + Sample.FAULT] != 0.0 or (
-                interval > EVEN * dt or dt > EVEN * interval):
+                interval > EVEN_RATIO * dt or dt > EVEN_RATIO * interval):
             return
     a = b = c = d = e = f = 0.0  # the differences of the six axes
     for j in range(ORDER + 1):
@@ -61,11 +61,11 @@ def show_noise(mem, k, dt):
         d += weight * mem[one + Sample.W_X]
         e += weight * mem[one + Sample.W_Y]
         f += weight * mem[one + Sample.W_Z]
-    share, white = min(dt / MEMORY, 1.0), at + Shown.WHITE
+    share, white = min(dt / MEAN_TIME, 1.0), at + Shown.WHITE
     for i, difference in enumerate((a, b, c, d, e, f)):
         mem[white + i] += share * (dt * difference * difference - mem[white + i])
-    mem[at + Shown.SIDEWAYS] += min(dt / LONG_MEMORY, 1.0) * (mem[at + Shown.WHITE + 1] - mem[at + Shown.SIDEWAYS])
-    if shown(mem, at, 3) > FAR_MORE**2:
+    mem[at + Shown.SIDEWAYS] += min(dt / LONG_MEAN_TIME, 1.0) * (mem[at + Shown.WHITE + 1] - mem[at + Shown.SIDEWAYS])
+    if shown(mem, at, 3) > NOTEWORTHY**2:
         mem[White.SHAKEN] += dt
 
 
@@ -77,9 +77,9 @@ def density(mem, sample, axis):
 
 @njit(_nrt=False)
 def hides_turns(mem, noise):
-    """Whether a noise density squared of the accelerometers, m^2/s^3, moves the velocity by more within TOLD_WITHIN
+    """Whether a noise density squared of the accelerometers, m^2/s^3, moves the velocity by more within COMPARED_OVER
     than the sigma of the constraint on the velocity sideways."""
-    return TOLD_WITHIN * noise > mem[Head.LATERAL_SIGMA] ** 2
+    return COMPARED_OVER * noise > mem[Head.LATERAL_SIGMA] ** 2
 
 
 @njit(_nrt=False)

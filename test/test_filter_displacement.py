@@ -12,7 +12,7 @@ from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Event, Kind, Verdict
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
-from mems_ins_fusion.filter.trust import way
+from mems_ins_fusion.filter.trust import displacement
 from mems_ins_fusion.filter.trust.scale import Seen
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import table
@@ -250,8 +250,8 @@ def test_it_is_used_again_when_its_ways_fit():
 def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
     # given ways that are 4 % too long and turned by 0.1 rad, in all directions, and the real equations written down
     rng, mem = np.random.default_rng(1), np.zeros(Seen.SIZE)
-    way._begin(mem, 0, 2.0)
-    x, p = np.zeros(4), np.diag([2.0, 2.0, way.PRIOR, way.PRIOR])  # distance north and east, share
+    displacement._begin(mem, 0, 2.0)
+    x, p = np.zeros(4), np.diag([2.0, 2.0, displacement.PRIOR, displacement.PRIOR])  # distance north and east, share
     h, last = np.eye(2, 4), np.zeros(2)
     off = -rng.normal(0.0, np.sqrt(2.0), 2)  # true distance, where the one at the first fix is measured as zero
     for k in range(60):
@@ -259,19 +259,21 @@ def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
         way_of_input = (1.04 + 0.1j) * gone
         off = off + [(way_of_input - gone).real, (way_of_input - gone).imag]
         measured = off + rng.normal(0.0, np.sqrt(2.0), 2)
-        mem[Seen.GONE:Seen.GONE + 2] = gone.real, gone.imag
-        assert way.learn(mem, 0, way_of_input, way_of_input - complex(*(measured - last)), 0.05, 2.0)
+        mem[Seen.TRAVELLED:Seen.TRAVELLED + 2] = gone.real, gone.imag
+        assert displacement.learn(mem, 0, way_of_input, way_of_input - complex(*(measured - last)), 0.05, 2.0)
         last = measured
         f = np.eye(4)
         f[:2, 2:] = [[gone.real, -gone.imag], [gone.imag, gone.real]]
         wandered = p.copy()
-        wandered[[2, 3], [2, 3]] = np.minimum(wandered[[2, 3], [2, 3]] + way.WANDERS * 8.0, way.PRIOR)
+        wandered[[2, 3], [2, 3]] = np.minimum(wandered[[2, 3], [2, 3]] + displacement.SHARE_WALK * 8.0,
+                                              displacement.PRIOR)
         x, p = f @ x, f @ wandered @ f.T + np.diag([0.05, 0.05, 0.0, 0.0])
         gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + 2.0 * np.eye(2))
         x, p = x + gain @ (measured - h @ x), p - gain @ h @ p
         np.testing.assert_allclose(mem[Seen.SHARE:Seen.SHARE + 2], x[2:], atol=1e-9)
-        np.testing.assert_allclose([mem[Seen.GAP_VARIANCE], way.PRIOR - mem[Seen.KNOWN]], p[[0, 2], [0, 2]])
-    assert way.is_compared(mem, 0)
+        np.testing.assert_allclose([mem[Seen.DISTANCE_VARIANCE], displacement.PRIOR - mem[Seen.REDUCED]],
+                                   p[[0, 2], [0, 2]])
+    assert displacement.is_compared(mem, 0)
     np.testing.assert_allclose(mem[Seen.SHARE:Seen.SHARE + 2], [0.04, 0.1], atol=4.0 * np.sqrt(p[2, 2]))
 
 
@@ -425,21 +427,21 @@ def test_the_direction_of_a_heading_is_compared_and_the_length_of_a_speed(kind, 
     # given a way that is so many times the one of the fixes, and turned; with a sigma of nearly nothing
     mem = np.zeros(Seen.SIZE)
     mem[Seen.SHARE:Seen.SHARE + 2] = np.real(ratio) - 1.0, np.imag(ratio)
-    mem[Seen.KNOWN] = way.PRIOR - 1e-12
-    assert off == 0.0 or way.is_contradicted(mem, 0, kind, off - 0.01)
-    assert not way.is_contradicted(mem, 0, kind, off + 0.01)
+    mem[Seen.REDUCED] = displacement.PRIOR - 1e-12
+    assert off == 0.0 or displacement.is_contradicted(mem, 0, kind, off - 0.01)
+    assert not displacement.is_contradicted(mem, 0, kind, off + 0.01)
 
 
 def compared(ways, mem=None):
     """What is seen of an input with such ways while the vehicle goes 10 m north each second; fixes of 1 m^2."""
     if mem is None:
         mem = np.zeros(Seen.SIZE)
-        way._begin(mem, 0, 1.0)
+        displacement._begin(mem, 0, 1.0)
     since = np.zeros(2)  # the latest fix that has been compared, by the input and by the fixes
     for one in ways:
         since += one, 10.0
-        mem[Seen.GONE] = since[1]
-        if way.learn(mem, 0, complex(since[0]), complex(since[1]), 0.0, 1.0):
+        mem[Seen.TRAVELLED] = since[1]
+        if displacement.learn(mem, 0, complex(since[0]), complex(since[1]), 0.0, 1.0):
             since[:] = 0.0
     return mem
 
@@ -449,14 +451,14 @@ def test_one_fix_that_is_far_off_is_passed_over_and_two_are_another_speed():
     # given a fix that is 30 m off, after which the next one is right again
     mem = compared([40.0, -20.0, 10.0], right.copy())
     np.testing.assert_allclose(mem[Seen.SHARE], 0.0, atol=1e-3)
-    assert way.is_compared(mem, 0) and mem[Seen.KNOWN] > 0.9 * way.PRIOR
+    assert displacement.is_compared(mem, 0) and mem[Seen.REDUCED] > 0.9 * displacement.PRIOR
     # given a unit that changes
     mem = compared([36.0, 36.0], right.copy())
-    assert not way.is_compared(mem, 0)
+    assert not displacement.is_compared(mem, 0)
     compared([36.0] * 6, mem)
-    assert way.is_compared(mem, 0) and way.is_contradicted(mem, 0, Kind.SPEED, 0.05)
+    assert displacement.is_compared(mem, 0) and displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05)
     # when it is the right one again, it is refused until that is known
     compared([10.0, 10.0], mem)
-    assert way.is_contradicted(mem, 0, Kind.SPEED, 0.05) and mem[Seen.KNOWN] == 0.0
+    assert displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05) and mem[Seen.REDUCED] == 0.0
     compared([10.0] * 12, mem)
-    assert way.is_compared(mem, 0) and not way.is_contradicted(mem, 0, Kind.SPEED, 0.05)
+    assert displacement.is_compared(mem, 0) and not displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05)
