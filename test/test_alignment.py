@@ -195,6 +195,21 @@ def test_one_fix_far_off_before_a_standstill_is_seen_is_no_drive(template, wrong
     assert abs(wrap(result.yaw[0] - COURSE)) < 0.3
 
 
+@pytest.mark.parametrize('wrong', [11.5, 12.5, 14.0])
+def test_one_fix_far_off_after_a_standstill_is_no_drive(template, wrong):
+    # given a vehicle that drives off after 10 s, and a fix at 10 Hz that is 30 m beside its way soon after that
+    config, recording = recorded(driven(template, [STAND, GO, Segment(20.0)]), rate=10.0)
+    gnss = recording.gnss
+    i = np.argmin(np.abs((gnss.stamp - gnss.stamp[0]) * 1e-9 - wrong))
+    beside = COURSE + 0.5 * math.pi
+    off = np.arange(len(gnss)) == i
+    latitude = gnss.latitude + off * 30.0 * math.cos(beside) / 6.37e6
+    longitude = gnss.longitude + off * 30.0 * math.sin(beside) / (6.37e6 * np.cos(gnss.latitude))
+    result = run(config, recording.imu, replace(gnss, latitude=latitude, longitude=longitude))
+    # then it starts in the direction in which it drives
+    assert len(result.stamp) and abs(wrap(result.yaw[0] - COURSE)) < 0.3
+
+
 @pytest.mark.parametrize('mounting', [[0.0, 0.0, 0.0], [0.0, 0.0, math.pi / 2], [math.pi, 0.0, 0.3]])
 def test_heading_from_orientation(template, mounting):
     # given an IMU that tells its own orientation in ENU, a vehicle that heads for 0.7 rad from north

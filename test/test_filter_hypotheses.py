@@ -27,6 +27,8 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     add_move,
     begin_refusing,
     is_drifting,
+    move_offset,
+    position_and_velocity,
     reach,
     restart_penalty,
     score_fix,
@@ -86,6 +88,24 @@ def test_who_doubts_expects_them_to_go_on_being_off_as_they_were():
     # and one that fits the filter again is believed
     believed, _ = judged(memory, r, np.array([0.5, 0.5]), 33.0)
     assert believed and memory[r + Hypothesis.FIXES_WRONG] == 0.0
+
+
+def test_a_correction_of_the_state_is_none_of_the_fixes():
+    # given a filter that takes fixes for wrong, which are 20 m off and go on so
+    _, memory, r = a_state()
+    begin_refusing(memory, r, 1.0)
+    for time in range(1, 20):
+        judged(memory, r, np.array([20.0, -10.0]), float(time))
+    # when a standstill tells that it is 6 m further north and 2 m/s slower, which is no news of the receiver
+    before = position_and_velocity(memory, r)
+    memory[r + Nav.LATITUDE] += 6.0 * memory[r + Nav.NORTH_SCALE]
+    memory[r + Nav.V_N] -= 2.0
+    memory[r + Hypothesis.DRIFT] += 2.0  # that the fixes do not drift is known from those that have come
+    move_offset(memory, r, before)
+    _, moved = judged(memory, r, np.array([26.0, -10.0]), 20.0)
+    _, expected = judged(memory, r, np.array([26.0, -10.0]), 21.0)
+    # then the next one is as likely as those before it
+    assert moved == pytest.approx(expected, abs=0.2)
 
 
 def test_refused_fixes_are_as_likely_right_as_wrong_after_the_recovery_time():

@@ -19,7 +19,7 @@ from filter_support import (
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter.memory import PLANAR, Head, Nav, decay_at, views
+from mems_ins_fusion.filter.memory import PLANAR, STRAPDOWN, Head, Nav, decay_at, views
 from mems_ins_fusion.filter.prediction import _decays
 from mems_ins_fusion.navigation import planar, strapdown
 from mems_ins_fusion.navigation.earth import gravity, radii
@@ -98,7 +98,10 @@ def dense(config, name):
     phi = np.block([[f, b @ output], [np.zeros((layout.n_augmented, layout.n_navigation)), a]])
     values = config.parameters
     density = np.concatenate([values['accelerometer.noise_density'], values['gyroscope.noise_density']])
-    white = np.diag(density[config.channel_axes] ** 2 / DT)  # a sample is a mean over its interval
+    squared = density**2
+    if config.mechanization == STRAPDOWN:  # an unknown scale factor turns by its share of a turn, which lasts for 5 s
+        squared[3:] += 5.0 * values['gyroscope.scale_sigma'] ** 2 * np.square(RATE)
+    white = np.diag(squared[config.channel_axes] / DT)  # a sample is a mean over its interval
     return phi, block_diag(b @ white @ b.T, q)
 
 

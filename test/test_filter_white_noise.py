@@ -115,7 +115,7 @@ def test_a_motion_is_no_noise():
 @pytest.mark.parametrize(('real', 'factor'), [(3e-3, 100.0), (1e-4, 1.0)])
 def test_the_heading_is_as_uncertain_as_the_samples_make_it(real, factor):
     # given a heading that is known at first, and no other error of the gyroscopes
-    exact = {'gyroscope.gauss_markov.sigma': [1e-9], 'gyroscope.initial_sigma': [1e-9]}
+    exact = {'gyroscope.gauss_markov.sigma': [1e-9], 'gyroscope.initial_sigma': [1e-9], 'gyroscope.scale_sigma': 0.0}
     grown = {}
     for adapts in (True, False):
         config, memory = after(samples(100.0, real), **{**exact, 'imu.adapt_noise': adapts})
@@ -123,6 +123,17 @@ def test_the_heading_is_as_uncertain_as_the_samples_make_it(real, factor):
     # then its variance grows with the noise that there is, where that is more than assumed, and never with less
     assert grown[False] == pytest.approx(100.0 * 3e-4**2, rel=0.01)
     assert grown[True] == pytest.approx(factor * grown[False], rel=0.15)
+
+
+@pytest.mark.parametrize('sigma', [0.0, 0.01, 0.03])
+def test_a_turn_makes_the_heading_less_certain_by_the_share_that_its_scale_may_be_off(sigma):
+    # given a heading that is known at first, gyroscopes with no error but their scale, and a bend of 90 deg in 5 s
+    exact = {'gyroscope.gauss_markov.sigma': [1e-9], 'gyroscope.initial_sigma': [1e-9],
+             'gyroscope.noise_density': [1e-6], 'imu.adapt_noise': False, 'gyroscope.scale_sigma': sigma}
+    config, memory = after(samples(5.0, motion=lambda t: np.full(len(t), -0.1 * np.pi)), **exact)
+    # then the heading is as uncertain as that share of the turn
+    grown = heading_variance(config, memory) - 1.0
+    assert grown == pytest.approx((0.5 * np.pi * sigma) ** 2, rel=0.01, abs=1e-9)
 
 
 @pytest.mark.parametrize('spoil', ['lost', 'out of range'])

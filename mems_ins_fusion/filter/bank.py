@@ -32,7 +32,8 @@ from .memory import (
     velocity_state,
     yaw_state,
 )
-from .trust import fix_drift, hypotheses, new_start
+from .trust import extrapolation, fix_drift, hypotheses, new_start
+from .trust.extrapolation import Extrapolation
 from .trust.hypotheses import Hypothesis
 from .trust.receiver import CLAIM_CHANGE, Receiver, realised_scatter
 from .trust.scale import Scale
@@ -108,14 +109,22 @@ def compare(memory):
         # it takes fixes for right again: from now on it is judged by them, as the first
         other[r + Hypothesis.VARIANCE] = 0.0
         other[r + Hypothesis.SCORE] = min(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE])
-    if _is_better(memory, other, r):
+    extrapolated = extrapolation.are_found(memory, r) or extrapolation.are_found(other, r)
+    if extrapolated:
+        # they fit a filter that has started anew from them, from which they cannot be withdrawn
+        if other[r + Hypothesis.FIXES_WRONG] != 0.0 and memory[Head.FORGOTTEN] > memory[r + Extrapolation.SINCE]:
+            _swap(memory, other)
+        if memory[r + Hypothesis.FIXES_WRONG] != 0.0:
+            other[r + Hypothesis.SCORE] = min(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE])
+    elif _is_better(memory, other, r):
         _swap(memory, other)
     fixes_wrong = memory[r + Hypothesis.FIXES_WRONG] != 0.0
     if other[r + Nav.REFUSED] >= new_start.FEWEST_REFUSED:
         other[r + Hypothesis.CONSISTENT] = 0.0
-    if fixes_wrong and other[r + Hypothesis.CONSISTENT] != 0.0:  # it must not lose while it may still prove right
-        least = memory[r + Hypothesis.SCORE] - hypotheses.restart_penalty(memory, time - memory[Bank.WRONG_SINCE])
-        other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
+    # a new start must not lose while it may still turn out to be right
+    if fixes_wrong and other[r + Hypothesis.CONSISTENT] != 0.0 and not extrapolated:
+        behind = hypotheses.restart_penalty(memory, time - memory[Bank.WRONG_SINCE])
+        other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE] - behind)
     lead = hypotheses.score(memory, r) - hypotheses.score(other, r)
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
     if not fixes_wrong and lead > hypotheses.LOST_NATS or _agree(memory, other, r):
@@ -157,7 +166,7 @@ def _start_from_fixes(memory, other, r, interval):
     other[Head.FORGOTTEN] = max(other[Head.FORGOTTEN], other[start + Nav.TIME])  # a late fix must not undo the start
     for j in range(k + 1, newest + 1):
         advance(other, j)
-    other[r + Hypothesis.START_DUE], other[r + Hypothesis.CONSISTENT] = 0.0, 1.0
+    other[r + Hypothesis.START_DUE] = 0.0
     behind = hypotheses.restart_penalty(memory, memory[r + Nav.FIX_TIME] - begun)
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
 
@@ -172,8 +181,8 @@ def _is_better(memory, other, r):
     ahead = hypotheses.score(other, r) - hypotheses.score(memory, r)
     if other[r + Hypothesis.FIXES_WRONG] == 0.0:
         return ahead > (SWITCH_NATS if memory[r + Hypothesis.FIXES_WRONG] == 0.0 else 0.0)
-    return (ahead > SERIOUS_NATS and memory[r + Hypothesis.FIXES_WRONG] == 0.0 and memory[r + Nav.USE_ALL_FIXES] == 0.0
-            and fix_drift.are_followed(memory, r)
+    return (ahead > SERIOUS_NATS and memory[r + Hypothesis.FIXES_WRONG] == 0.0
+            and memory[r + Nav.TIME] > memory[r + Nav.EXCLUDED_UNTIL] and fix_drift.are_followed(memory, r)
             and hypotheses.is_drifting(other, r))
 
 

@@ -32,6 +32,7 @@ from .memory import (
     row_width,
     scratch_size,
 )
+from .prediction import TURN_TIME, Turns
 from .trust.drift import DriftSettings
 from .trust.imu_faults import Imu
 from .trust.lag import LagSettings
@@ -334,6 +335,7 @@ class FilterConfig:
             White.ADAPT: values['imu.adapt_noise'] and shows_tilt,
             DriftSettings.LEARNED: (values['vehicle.learn_drift'] and shows_tilt
                                     and values['sensor_error_model'] != 'autoregressive'),
+            Turns.NOISE: TURN_TIME * values['gyroscope.scale_sigma'] ** 2,
             LagSettings.GAIN: gnss.lag_gain, LagSettings.TIME: gnss.lag_time,
             Head.LEVER_X: gnss.lever_arm[0], Head.LEVER_Y: gnss.lever_arm[1], Head.LEVER_Z: gnss.lever_arm[2],
             Head.AXLE_X: axle[0], Head.AXLE_Y: axle[1], Head.AXLE_Z: axle[2],

@@ -21,7 +21,7 @@ from .memory import (
     yaw_state,
 )
 from .prediction import set_radii
-from .trust import contradiction, gyroscopes, new_start
+from .trust import contradiction, gyroscopes, hypotheses, new_start
 from .trust.force_noise import force_noise
 from .trust.imu_faults import Imu
 from .trust.standstill import wheels_turn
@@ -62,6 +62,7 @@ def constrain(mem, r, sample):
     still = mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0 and not wheels_turn(mem, r)
     if not still and mem[Head.LATERAL_SIGMA] == 0.0:
         return
+    before = hypotheses.position_and_velocity(mem, r)
     (n, h), p = begin_update(mem, r), int(mem[Head.SCRATCH_AT])
     at = h + 6 * n  # a temporary record in the scratch
     since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
@@ -101,6 +102,7 @@ def constrain(mem, r, sample):
         return
     end_update(mem, r)
     set_radii(mem, r)
+    hypotheses.move_offset(mem, r, before)
 
 
 @njit(_nrt=False)
@@ -149,7 +151,7 @@ def _constrain_motion(mem, r, at, n, h, dimensions, since):
         nis = innovation * innovation / s
         # without a gate every fix is used anyway, so a slide need not decide between the fixes and the IMU
         if k == 0 and mem[Head.GATE] > 0.0 and contradiction.slides(mem, r, innovation, s, since):
-            contradiction.raise_uncertainty(mem, r, n, innovation, since)
+            contradiction.exclude_imu(mem, r, n, innovation)
             s = variance + project(mem, n, h + n * k, column)
             nis = innovation * innovation / s
         mem[at + Event.Z_N + k] = innovation

@@ -71,19 +71,17 @@ class _Nav(NamedTuple):
     DIVERGENCES: int = column()  # new starts from refused fixes within a short time (new_start.AGAIN_WITHIN),
     DIVERGENCE_TIME: int = column()  # and the time of the last one
     # consistency of the innovations with the covariance, see trust/receiver.py
-    SLOW_N: int = column()  # low-passed whitened innovations of the fixes, and their variance were they white
-    SLOW_E: int = column()
-    SLOW_VARIANCE: int = column()
+    LONG_PASSED: int = column(3)  # low-passed whitened innovations of the fixes, and their variance were they white
     VARIANCE_FACTOR: int = column()  # realised over expected variance of these innovations; below 1 it counts as 1
     CLAIM_LEVEL: int = column()  # mean logarithm of the claimed variance, m^2
     LASTING: int = column()  # variance of the receiver's slow errors, m^2, which the estimated position contains
     # whether the fixes or the IMU are wrong, see trust/contradiction.py
     SLIDING_NIS: int = column()  # NIS of the lateral constraint, mean of the last second
     USUAL_SLIDING_NIS: int = column()  # the same NIS, long-term mean: what is usual for this vehicle
-    USE_ALL_FIXES: int = column()  # s for which fixes are still used whatever their innovations
+    EXCLUDED_UNTIL: int = column()  # s: until this time the IMU is not used
     # counts for messages to the user
     SIDEWAYS: int = column()  # s during which the vehicle violated the non-holonomic constraint
-    SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
+    EXCLUDED: int = column()  # s for which the IMU was not used after the constraint had contradicted it
     RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
     RECOVERIES: int = column()  # restarts from fixes that had been refused
     MECHANISMS: int = column(176)  # room for the columns that other files declare (`ROW`)
@@ -362,7 +360,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # `StateLayout.rows`
     CHANNEL: int = column(6)  # `StateLayout.axes`
     AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
-    MECHANISMS: int = column(79)  # room for the columns that other files declare (`HEAD`)
+    MECHANISMS: int = column(80)  # room for the columns that other files declare (`HEAD`)
     SIZE: int = column(0)
 
 

@@ -18,6 +18,7 @@ from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
 from .measurements import acceleration, time_offset
 from .memory import (
+    HEAD,
     INPUT_SIZE,
     NAV,
     PLANAR,
@@ -43,6 +44,12 @@ from .trust.lag import LagSettings, fall_behind
 from .trust.scale import Inputs
 from .trust.white_noise import density
 
+#: of the settings: rad^2/s per (rad/s)^2, noise of a gyroscope for its squared rate: of an unknown scale factor error
+Turns = HEAD.place('Turns', NOISE=1)
+
+#: s that a turn lasts: a scale factor error turns the heading by its share of the angle, as white noise does that is so
+#: many times its variance as dense. A bend of 90 deg at 20 deg/s
+TURN_TIME = 5.0
 #: m/s^2, standard deviation of the vehicle's acceleration during a gap in the IMU samples. Chosen: a car in traffic
 GAP_ACCELERATION = 1.5
 #: rad/s (17 deg/s), standard deviation of its turn rate during a gap. Chosen; four times as much costs 60 m where an
@@ -58,6 +65,8 @@ GAP_TILT = 0.1
 LONGEST_BRIDGE = 2.0
 #: rad, standard deviation of a heading that is uniformly distributed over the circle
 UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)
+#: rad (3 deg), standard deviation of roll and pitch that are not known: slopes of roads. Chosen, not measured
+UNKNOWN_TILT_SIGMA = 0.05
 #: dt over the correlation time up to which the series in `_series` equals the exponential to rounding
 SERIES = 0.01
 #: rad of latitude (13 m): after a move of this size the radii are computed anew, which keeps the scales accurate to
@@ -460,7 +469,8 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     more = force_noise(mem, src)
     for axis in range(3):
         k, q = nonnegative(dst + b + 9 * p * axis), nonnegative(u + 9 * axis)
-        white_f, white_w = density(mem, sample, axis) + more, density(mem, sample, 3 + axis)
+        white_f = density(mem, sample, axis) + more
+        white_w = density(mem, sample, 3 + axis) + mem[Turns.NOISE] * w[axis] * w[axis]
         x, y, z = strapdown.column(c, axis)
         turned = h * (y * f_level[2] - z * f_level[1]), h * (z * f_level[0] - x * f_level[2]), h * (
             x * f_level[1] - y * f_level[0])

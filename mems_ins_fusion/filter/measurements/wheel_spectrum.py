@@ -32,7 +32,7 @@ HIGHEST = 0.9  # highest frequency used, as a share of the Nyquist frequency: in
 LEAST = -1.5
 #: upper limit of the same, so that no single bin decides for a line. Chosen, not measured
 MOST = 3.5
-STANDING_MEMORY = 150.0  # windows over which the power at constant frequency (Hz) is averaged: five minutes
+MEAN_OVER = 150.0  # windows over which powers and their statistics are averaged: five minutes
 BINS = POINTS + 1
 
 column = numbered()
@@ -55,7 +55,7 @@ class _Spectrum(NamedTuple):
     """Columns, counted from the start of the array or part of the memory that holds them."""
 
     COUNT: int = column()  # rows put into the ring so far
-    WINDOWS: int = column()  # windows seen, up to STANDING_MEMORY
+    WINDOWS: int = column()  # windows seen, up to MEAN_OVER
     RING: int = column(POINTS * Row.SIZE)
     TAPER: int = column(POINTS)
     COSINE: int = column(POINTS)
@@ -187,7 +187,7 @@ def look(mem, at, highest):
         for power in (one, other):
             mem[power] = mem[power + 1] = mem[power + 2]
     windows = mem[at + Spectrum.WINDOWS] + 1.0
-    mem[at + Spectrum.WINDOWS] = min(windows, STANDING_MEMORY)
+    mem[at + Spectrum.WINDOWS] = min(windows, MEAN_OVER)
     for axis in range(AXES):
         power, standing = at + Spectrum.POWER + BINS * axis, at + Spectrum.STANDING + BINS * axis
         _neighbourhood(mem, at, power, last, 0.0)
@@ -195,5 +195,5 @@ def look(mem, at, highest):
         for j in range(last + 1):
             above = min(max(mem[power + j] - mem[at + Spectrum.SERIES + j], LEAST), MOST)
             mem[power + j] = max(above - max(mem[standing + j], 0.0), LEAST)
-            mem[standing + j] += (above - mem[standing + j]) / min(windows, STANDING_MEMORY)
+            mem[standing + j] += (above - mem[standing + j]) / min(windows, MEAN_OVER)
     return time, way, last

@@ -46,7 +46,7 @@ from ..memory import (
     velocity_state,
 )
 from .geometry import angular_rate
-from .wheel_spectrum import AXES, BINS, POINTS, SHORTEST, WINDOW, Row, Spectrum, look
+from .wheel_spectrum import AXES, BINS, MEAN_OVER, POINTS, SHORTEST, WINDOW, Row, Spectrum, look
 from .wheel_spectrum import begin as begin_spectrum
 
 #: position of the columns `Lines` in the memory, 0: wheel_vibration is off
@@ -71,7 +71,6 @@ HIGHEST = HARMONICS / MIDDLE * math.exp(STEP * HALF)  # highest frequency looked
 NO_POWER = -99.0  # power of a grid point beyond the spectrum
 LINE_HALF_WIDTH = 17  # half width of a line, grid points (5 %): these are left out of the mean beside it
 SCORE_HALF_WIDTH = 2  # error of the filter's own speed that the score allows, grid points to either side (0.6 %)
-CHANNEL_MEMORY = 150.0  # windows over which a channel's statistics are averaged: five minutes
 SCORE_MEMORY = 60.0  # windows over which the score is averaged: two minutes, so that another wheel is noticed soon
 LEAST_SPREAD = 0.1  # smallest variance of a channel's logarithmic power; noise has 1.6
 #: sigmas by which the sum for a circumference has to exceed zero in the search: chance does so once in millions of
@@ -464,7 +463,7 @@ def _update_score(mem, at):
 @njit(_nrt=False)
 def _update_channels(mem, at):
     """Average mean and variance of each channel on the line and beside it."""
-    n = min(mem[at + Lines.WINDOWS] + 1.0, CHANNEL_MEMORY)
+    n = min(mem[at + Lines.WINDOWS] + 1.0, MEAN_OVER)
     mem[at + Lines.WINDOWS] = n
     for channel in range(CHANNELS):
         values = at + Lines.CHANNEL + GRID * channel

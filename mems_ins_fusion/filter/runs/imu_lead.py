@@ -18,9 +18,6 @@ from .imu_memory import ALONE, KEPT, LEADS, NOISY, compare_anew, keep, patience,
 #: s without samples of the leading IMU after which an IMU that has not yet agreed with it leads. Drivers start one
 #: after the other, and bridging some seconds is better than samples of an IMU with a wrong mounting
 FIRST = 5.0
-#: m/s, speed that `imu_faults.check` is given: it must be above `standstill.MOVING_SPEED`, so that frozen axes are
-#: found at rest as well. A false alarm costs little while another IMU is available
-_MOVING = 2.0
 #: code of a sample that is not finite
 NOT_FINITE = Fault.SIZE
 REASONS = (*FAULTS, 'not a number')
@@ -58,7 +55,8 @@ def _judge(book, i, stamp, value, dt):
         return NOT_FINITE
     book.sample[0, 0] = (stamp - book.epoch[0]) * 1e-9
     book.sample[0, 1:] = value
-    return check(book.heads[i], book.sample, 0, dt, _MOVING, False)
+    # as if in motion, so that frozen axes are found at rest as well: a false alarm costs little beside another IMU
+    return check(book.heads[i], book.sample, 0, dt, np.inf, False)
 
 
 @njit

@@ -26,14 +26,12 @@ from ..memory import (
     variance_factor,
     velocity_state,
 )
+from ..prediction import UNKNOWN_TILT_SIGMA
 from ..trust.hypotheses import spread
 from ..trust.white_noise import density
 
 #: first indices in the vector that `odometry` fills, and its size
 POSITION, ORIENTATION, POSE_COVARIANCE, LINEAR, ANGULAR, TWIST_COVARIANCE, SIZE = 0, 3, 7, 43, 46, 49, 85
-#: rad, published standard deviation of roll and pitch with the planar mechanization, which does not estimate them: road
-#: slopes. Chosen, not measured
-PLANAR_TILT_SIGMA = 0.05
 #: m/s, published standard deviation of the vertical velocity with the planar mechanization. Chosen, not measured
 PLANAR_VERTICAL_SIGMA = 0.5
 
@@ -142,7 +140,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     for i in range(9):
         row = row_of(memory, i)
         if row < 0:
-            sigma = height_sigma if i == Error.R_D else PLANAR_VERTICAL_SIGMA if i == Error.V_D else PLANAR_TILT_SIGMA
+            sigma = height_sigma if i == Error.R_D else PLANAR_VERTICAL_SIGMA if i == Error.V_D else UNKNOWN_TILT_SIGMA
             nine[10 * i] = sigma**2
             continue
         for j in range(9):
@@ -209,7 +207,7 @@ def _angular(memory, newest, r, sample, full, out):
         state = channel_of(memory, 3 + k)
         if state < 0 or newest == 0:  # planar: roll and pitch rate are zero
             out[ANGULAR + k] = 0.0
-            out[at] = PLANAR_TILT_SIGMA**2
+            out[at] = UNKNOWN_TILT_SIGMA**2
             continue
         out[ANGULAR + k] = sign * (memory[sample + Sample.W_X + k] - memory[r + NAV + state])
         out[at] = density(memory, sample, 3 + k) / memory[sample + Sample.INTERVAL] + memory[full + (n + 1) * state]

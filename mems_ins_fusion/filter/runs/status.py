@@ -16,6 +16,7 @@ from .horizon import Horizon
 from .intake import Intake
 from .odometry import published_covariance
 from .snapshot import vehicle_heading
+from .tally import REPORTED
 from .vehicle_check import found_mounting, found_time_offsets, mounting_angles
 
 #: the verdicts in words
@@ -27,7 +28,6 @@ VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down',
             Verdict.CONTRADICTED: 'its integral differs from the displacement between fixes',
             Verdict.AWAITED: 'its integral has not been compared with the fixes yet',
             Verdict.RECOVERED: 'the filter restarted from it'}
-DEGRADED = 5.0  # s for which the state is `degraded` after a faulty IMU sample. Chosen, not measured
 #: s for which the state is `recovering` after a new start from refused fixes: the heading is found again in this time
 RECOVERING = 10.0
 #: realised over expected standard deviation of the innovations above which something is wrong. The largest of 180
@@ -80,7 +80,7 @@ class FilterStatus(Intake):
         if self._memory is None:
             return []
         now, found = self._now, []
-        if now * 1e-9 - self._last_fault < DEGRADED:
+        if now * 1e-9 - self._last_fault < REPORTED:
             found.append(f'samples on {self.config.imu.topic} not believed: {self._fault}')
         for kind, measurement in self.config.inputs.items():
             tally = self.tallies[measurement.name]
@@ -216,7 +216,7 @@ class FilterStatus(Intake):
                    'realised over assumed drift of the gyroscopes': math.sqrt(row[Drift.RATIO + 1]),
                    'shown over assumed noise of the accelerometers': math.sqrt(white_noise.shown(memory, sample, 0)),
                    'shown over assumed noise of the gyroscopes': math.sqrt(white_noise.shown(memory, sample, 3)),
-                   'contradicted by the constraint, s': float(row[Nav.SLID])}
+                   'contradicted by the constraint, s': float(row[Nav.EXCLUDED])}
         values |= wheel_vibration.diagnostics(memory, memory[sample + Sample.TIME])
         for i, name in enumerate(layout.names[layout.n_navigation:], start=layout.n_navigation):
             values[name] = float(row[NAV + i])

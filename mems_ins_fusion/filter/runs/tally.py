@@ -7,7 +7,7 @@ from collections import deque
 RECENT = 100  # number of measurements over which the NIS is averaged
 STEADY = 3  # number of measurements refused in a row from which on this is reported
 STEADY_TIME = 1.0  # s: and of a fast sensor these must have come for this long
-FORGOTTEN = 5.0  # s after the last refusal until which this is reported
+REPORTED = 5.0  # s for which a refusal, or a faulty IMU sample, is reported. Chosen, not measured
 
 
 class Tally:
@@ -42,5 +42,5 @@ class Tally:
 
     def steadily(self, now: int, patient: bool) -> bool:
         """Whether all recent measurements were refused. patient: require STEADY_TIME, for fast sensors."""
-        return (self.row >= STEADY and (now - self.last) * 1e-9 < FORGOTTEN
+        return (self.row >= STEADY and (now - self.last) * 1e-9 < REPORTED
                 and (not patient or (self.last - self.since) * 1e-9 >= STEADY_TIME))

@@ -8,12 +8,12 @@ import numpy as np
 
 from ...navigation.frames import FLU_TO_FRD, rotation_from_rpy
 from ..config import FilterConfig
+from ..constraints import STILL_SPEED
 from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index, newest_row, variance_factor
 from ..trust.white_noise import NOTEWORTHY, White
 
 MOUNTING_STATES = 'mounting_yaw', 'mounting_pitch'
 FASTEST_BACKWARDS = 8.0  # m/s, largest speed of a car in reverse
-AT_REST = 0.3  # m/s, speed below which the vehicle stands
 #: standard deviations by which an estimated mounting has to differ from the parameters to be reported: of the estimate
 #: for the advice of `found_mounting`, of imu.mounting_sigma for a warning
 MOUNTING_SIGMAS = 3.0
@@ -31,8 +31,6 @@ LATE = 0.05
 LATE_SIGMAS = 4.0
 #: s of sideways motion in total above which the vehicle has no wheels, or turns on the spot. Chosen, not measured
 LONGEST_SIDEWAYS = 5.0
-#: s above which a contradiction by the lateral constraint (`Nav.SLID`) is reported. Chosen, not measured
-LONGEST_UNSETTLED = 0.5
 #: s in total of far more noise than configured (`White.SHAKEN`) above which it is reported. Chosen, not measured
 LONGEST_SHAKEN = 60.0
 #: number of refused fixes in a row that show a boat if they move on while the IMU shows a standstill. The fixes of a
@@ -61,14 +59,14 @@ def vehicle_warnings(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray
         if fastest > FASTEST_BACKWARDS:
             texts.append(f'{topic}: the vehicle seems to go backwards at {fastest:.1f} m/s: if it does not, the IMU is '
                          'mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
-    sideways, slid = float(row[Nav.SIDEWAYS]), float(row[Nav.SLID])
+    sideways, excluded = float(row[Nav.SIDEWAYS]), float(row[Nav.EXCLUDED])
     if sideways > LONGEST_SIDEWAYS:
         texts.append(f'the vehicle went sideways for {sideways:.0f} s, against vehicle.non_holonomic, '
                      'which was not used then: a boat needs config/boat.yaml, a robot that turns on the spot '
                      'config/robot.yaml')
-    if slid > LONGEST_UNSETTLED:
-        texts.append(f'{topic}: for {slid:.1f} s it showed a sideways motion that is unusual for this vehicle: the '
-                     'vehicle slid, or the IMU was wrong. In that time every fix was used')
+    if excluded > 0.0:
+        texts.append(f'{topic}: it showed a sideways motion that is unusual for this vehicle: the vehicle slid, or the '
+                     f'IMU was wrong. It was not used for {excluded:.0f} s')
     if memory[White.SHAKEN] > LONGEST_SHAKEN:
         texts.append(f'{topic}: for minutes the noise of the gyroscopes is more than {NOTEWORTHY:g} times '
                      'gyroscope.noise_density: the vehicle vibrates faster than the IMU samples. The filter uses the '
@@ -124,7 +122,7 @@ def found_time_offsets(memory: np.ndarray, config: FilterConfig) -> dict[int, st
 def _is_adrift(fixes: np.ndarray) -> bool:
     """Whether ADRIFT refused fixes in a row have moved on while the filter was at rest."""
     refused = fixes[:, Event.VERDICT] == Verdict.REFUSED
-    refused &= np.hypot(fixes[:, Event.V_N], fixes[:, Event.V_E]) < AT_REST
+    refused &= np.hypot(fixes[:, Event.V_N], fixes[:, Event.V_E]) < STILL_SPEED
     off = np.hypot(fixes[:, Event.Z_N], fixes[:, Event.Z_E])
     gone = [np.ptp(off[k - ADRIFT:k]) for k in range(ADRIFT, len(fixes) + 1) if refused[k - ADRIFT:k].all()]
     return max(gone, default=0.0) > FARTHEST_ADRIFT

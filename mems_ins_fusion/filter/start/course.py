@@ -105,13 +105,14 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
         variance = white * (sigma**2 + s**2) + _wandered(config, interval)
         noise = math.sqrt(variance - (1.0 - white) * (sigma**2 + s**2) * math.expm1(-interval / LASTING_TIME))
         if distance >= max(SHORTEST_COURSE, noise / COURSE_SIGMA):
+            # an outlier must not count as motion: the fixes in between have to lie on the path
+            between = positions[i + 1:-1] - [0.0, n, e, 0.0]
             if standstill is not None:
-                return (_of_chord(imu, chord, time, now, noise, standstill, config)
+                return (_of_chord(imu, chord, time, now, noise, between, standstill, config)
                         or _of_curved_path(imu, positions, standstill, config))
             tried = interval
-            # an outlier must not count as motion: the fixes in between have to lie on the path
             try:
-                found = _of_chord(imu, chord, time, now, noise, None, config, positions[i + 1:-1] - [0.0, n, e, 0.0])
+                found = _of_chord(imu, chord, time, now, noise, between, None, config)
             except Refused as reason:
                 refused = refused or reason
                 continue
@@ -226,7 +227,7 @@ def driven_off(imu: np.ndarray, positions: np.ndarray, standstill: Standstill,
     return None
 
 
-def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) -> Course | None:
+def _of_chord(imu, chord, time, now, noise, between, standstill, config) -> Course | None:
     """The course of a chord (north, east) from `time` to `now` with the noise `noise`, m; None if it is not certain.
 
     between: fixes that have to lie on the path, rows of time, north, east from the beginning of the chord, sigma.
@@ -254,19 +255,24 @@ def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) ->
     if abs(last) < SLOWEST_START or yaw_sigma > LARGEST_YAW_SIGMA:
         return None
     yaw = math.atan2(chord[1], chord[0]) - math.atan2(motion.moved[1], forward)
-    if between is not None and not _on_path(imu, between, time, now, yaw, speed, noise, config):
+    if not _on_path(imu, between, time, now, yaw, speed, noise, standstill, config):
         return None
     return Course(yaw + motion.turn, math.copysign(math.hypot(last, motion.gained[1]), last), yaw_sigma, speed_sigma)
 
 
-def _on_path(imu, between, time, now, yaw, speed, noise, config) -> bool:
-    """Whether more than half of the fixes between the ends of a chord lie on the path. False if they are too few: a
-    receiver that smooths its positions turns an outlier into two or three fixes that look like motion."""
-    if len(between) < FEWEST_BETWEEN:
+def _on_path(imu, between, time, now, yaw, speed, noise, standstill, config) -> bool:
+    """Whether more than half of the fixes between the ends of a chord lie on the path.
+
+    False if they are too few, unless the chord begins at a standstill, where the IMU has to show the motion, too: a
+    receiver that smooths its positions turns an outlier into two or three fixes that look like motion.
+    """
+    if not len(between) and standstill is not None:
+        return True
+    if len(between) < FEWEST_BETWEEN and standstill is None:
         return False
     between, agreeing = between[::math.ceil(len(between) / MOST_BETWEEN)], 0
     for at, north, east, sigma in between:
-        motion = inertial_motion(imu, time, at, None, config)
+        motion = inertial_motion(imu, time, at, standstill, config)
         moved = np.array([speed * (at - time), 0.0]) + (motion.moved if motion is not None else 0.0)
         c, s = math.cos(yaw), math.sin(yaw)
         off = math.hypot(north - c * moved[0] + s * moved[1], east - s * moved[0] - c * moved[1])

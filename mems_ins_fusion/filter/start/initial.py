@@ -13,11 +13,11 @@ from ..config import REPEATED_TURN_ON, FilterConfig
 from ..measurements import wheel_vibration
 from ..memory import NAV, ROW, Error, Head, Nav, Sample, newest_row, set_covariance, variance_factor, views
 from ..memory import covariance as covariance_of
-from ..prediction import set_radii
+from ..prediction import UNKNOWN_TILT_SIGMA, set_radii
 from ..trust.contradiction import FIRST_USUAL
 from ..trust.receiver import Receiver
 from ..trust.scale import Scale
-from .start import UNKNOWN_TILT_SIGMA, Iron, SensorErrors, Standstill, Start
+from .start import Iron, SensorErrors, Standstill, Start
 
 #: m/s^2, gravity on the slope of a parking place (2 deg), which the planar filter removes with the tilt of the IMU
 TILT_SIGMA = 0.3

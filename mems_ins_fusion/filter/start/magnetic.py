@@ -13,9 +13,9 @@ import numpy as np
 
 from ..config import FilterConfig
 from ..measurements.magnetometer import STATES
+from .course import LONGEST_COURSE_TIME
 from .start import KNOWN_RATE_SIGMA, Iron, SensorErrors, Standstill
 
-LONGEST = 60.0  # s of fields that are used: over longer times the gyroscope's bias is not constant
 SHORTEST = 3.0  # s of fields needed
 AROUND = 0.5  # s to each side over which the accelerometers are averaged for roll and pitch
 LEVEL_SIGMA = 0.02  # rad, standard deviation of roll and pitch by the accelerometers while a vehicle drives slowly
@@ -47,7 +47,7 @@ def find_magnetic_heading(imu: np.ndarray, fields: np.ndarray, standstill: Stand
     declination, as in the records. name: of the input. known: sensor errors of an earlier run.
     """
     now = imu[-1, 0]
-    part = imu[imu[:, 0] > now - LONGEST]
+    part = imu[imu[:, 0] > now - LONGEST_COURSE_TIME]
     fields = fields[(fields[:, 0] > part[0, 0]) & (fields[:, 0] <= now)]
     if len(fields) < 2 or fields[-1, 0] - fields[0, 0] < SHORTEST:
         return None

@@ -11,10 +11,10 @@ import numpy as np
 from ...navigation.earth import radii
 from ...navigation.frames import near
 from ..config import FilterConfig
+from ..prediction import UNKNOWN_TILT_SIGMA
 from ..trust.scale import Scale
 
-UNKNOWN_TILT_SIGMA = 0.05  # rad, standard deviation of roll and pitch of the IMU without a standstill before the start
-#: m/s^2, standard deviation of the horizontal specific force due to this tilt
+#: m/s^2, standard deviation of the horizontal specific force due to the tilt of the IMU, where no standstill shows it
 UNKNOWN_TILT_FORCE = UNKNOWN_TILT_SIGMA * 9.8
 #: m/s^2, standard deviation of the horizontal specific force relative to that at standstill, on another slope
 KNOWN_FORCE_SIGMA = 0.1

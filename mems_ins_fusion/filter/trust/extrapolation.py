@@ -112,6 +112,12 @@ def refuse_fix(mem, r, at):
 
 
 @njit(_nrt=False)
+def are_found(mem, r):
+    """Whether the latest fixes are certainly extrapolated, as the filter with the state at r sees them."""
+    return mem[r + Extrapolation.REPORTED] != 0.0
+
+
+@njit(_nrt=False)
 def note_move(mem, r, before, after):
     """Remember what a fix on the line has done to the state at r: its position and velocity before and after that."""
     if mem[r + Extrapolation.NATS] > 0.0:

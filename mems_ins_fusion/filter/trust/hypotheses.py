@@ -238,6 +238,14 @@ def position_and_velocity(mem, r):
 
 
 @njit(_nrt=False)
+def move_offset(mem, r, before):
+    """A correction that is not a fix has moved the state at r from where `position_and_velocity` had it `before`: by
+    that, wrong fixes are off from another position and velocity."""
+    if mem[r + Hypothesis.FIXES_WRONG] != 0.0 and mem[r + Hypothesis.VARIANCE] != 0.0:
+        add_move(mem, r, r + Hypothesis.OFFSET, before, position_and_velocity(mem, r))
+
+
+@njit(_nrt=False)
 def add_move(mem, r, at, before, after):
     """Add to the four numbers at `at`, north and east, m and m/s, by how much what `position_and_velocity` says of the
     state at r has changed."""

@@ -76,7 +76,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
     of_velocity = is_of_velocity(kind)
     if _has_wrong_displacement(mem, r, at, n):
         if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
-            contradiction.use_all_fixes(mem, r)
+            contradiction.recover_from_wrong_input(mem, r, n)
         mem[own + Seen.FITTED] = -time
     if is_contradicted(mem, r, at):
         return 1.0, ROBUST, REFUSE_ALL

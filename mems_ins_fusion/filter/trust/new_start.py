@@ -12,7 +12,7 @@ from mems_ins_fusion.compiled import njit
 from ..history import forget
 from ..measurements.geometry import set_heading
 from ..memory import NAV, Error, Event, Head, Nav, Verdict, row_of, velocity_state, yaw_state
-from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
+from ..prediction import GAP_ACCELERATION, UNKNOWN_TILT_SIGMA, UNKNOWN_YAW_SIGMA
 from ..update import scratch_of
 from . import hypotheses
 from .drift import Drift
@@ -45,8 +45,6 @@ AGREEMENT_FLOOR = 1.0
 AGREEMENT_SHARE = 0.3
 #: m/s, sigma of a new start's velocity besides what the fixes tell: what a vehicle gains between two of them
 NEW_VELOCITY_SIGMA = 0.5
-#: rad, sigma of its tilt: a steep road
-NEW_TILT_SIGMA = 0.05
 #: m/s above which a course is a heading: slower, errors of the velocity turn it too far
 COURSE_SPEED = 3.0
 #: rad, sigma of such a heading: sideslip, turns between two fixes
@@ -142,7 +140,7 @@ def start_anew(mem, r, at):
     # the innovations until now were those of a state that was wrong
     reset_scale(mem, r + Receiver.INNOVATION_SCALE)
     for i in range(3):
-        mem[r + Nav.SLOW_N + i] = mem[r + Receiver.SHORT_PASSED + i] = 0.0
+        mem[r + Nav.LONG_PASSED + i] = mem[r + Receiver.SHORT_PASSED + i] = 0.0
     mem[r + Nav.VARIANCE_FACTOR] = 1.0
     (n, p), n_navigation = scratch_of(mem), int(mem[Head.N_NAVIGATION])
     for i in range(n):
@@ -166,12 +164,13 @@ def start_anew(mem, r, at):
     if row_of(mem, Error.R_D) >= 0:
         mem[r + Nav.HEIGHT], mem[r + Nav.V_D] = mem[at + Event.HEIGHT], 0.0
     for error, value in ((Error.R_D, 4.0 * variance), (Error.V_D, NEW_VELOCITY_SIGMA**2),
-                         (Error.PHI_N, NEW_TILT_SIGMA**2), (Error.PHI_E, NEW_TILT_SIGMA**2)):
+                         (Error.PHI_N, UNKNOWN_TILT_SIGMA**2), (Error.PHI_E, UNKNOWN_TILT_SIGMA**2)):
         state = row_of(mem, error)
         if state >= 0:
             mem[p + (n + 1) * state] = value
     take_course(mem, r, v_n, v_e, drift)
     mem[r + Nav.RECOVERIES] += 1.0
+    mem[r + Hypothesis.CONSISTENT] = 1.0
     hypotheses.add_prior(mem, r, hypotheses.DIVERGENCE_PRIOR)
 
 

@@ -226,7 +226,7 @@ def _learn_from_innovation(mem, r, at, interval, claimed, lasting):
     u_n = mem[at + Event.Z_N] / l_nn
     u_e = (mem[at + Event.Z_E] - l_en * u_n) / math.sqrt(mem[at + Event.S_EE] - l_en * l_en)
     counted = min(1.0, LARGEST_INNOVATION / max(math.hypot(u_n, u_e), 1.0))
-    slow, followed = r + Nav.SLOW_N, r + Receiver.SHORT_PASSED
+    slow, followed = r + Nav.LONG_PASSED, r + Receiver.SHORT_PASSED
     _low_pass(mem, slow, counted * u_n, counted * u_e, interval / LONG_LOW_PASS)
     _low_pass(mem, followed, counted * u_n, counted * u_e, interval / SHORT_LOW_PASS)
     if mem[slow + 2] == 0.0 or interval <= 0.0:
