@@ -4,7 +4,8 @@
     python studies/measured_diagnoses.py ways DATA OUTPUT [RECORDING ..]
 
 DATA: folder of the recordings. OUTPUT: for the params files and results; a recording whose result is there already is
-not diagnosed again. RECORDING: only these, by the first letters of `recording, settings`.
+not diagnosed again. RECORDING: only these, by the first letters of `recording, settings`; in ways `drive NUMBER` is any
+simulated drive, from 300 on with receivers of 0.2 to 10 Hz, some with gaps, as in `studies/configure.py --any-fixes`.
 settings: with the defaults, and with what was before them. ways: from nothing but the topics, from the file that
 `configure` writes, and from one by hand; of the recordings and of simulated drives, whose truth is known. Are the time
 offsets, arms, mountings and scales that the three tell alike within their sigmas, and does configure's file end worse
@@ -106,6 +107,7 @@ SIMULATED = (201, 203, 204, 205, 213, 214, 200, 202, 206, 207, 208, 209, 210, 21
 SEEN, TAPE, SECONDS = 5.0, 0.1, 300.0
 #: parts of long recordings: lines of params files
 PARTS = {'kingston_span': 'stop: 900.0'}
+ANY_FIXES = 300  # drives from this number on have receivers of 0.2, 1, 5 and 10 Hz in turn, half of them with gaps
 #: of these with gaps: s without samples, s without fixes, each minute
 GAPS = {205: (1.5, 20.0), 213: (0.8, 15.0), 214: (0.8, 15.0)}
 WAY_DURATIONS = 10.0, 30.0, 60.0
@@ -148,7 +150,9 @@ class Way:
 
 def simulated_bag(number: int, output: Path) -> tuple[Path, configure.Case]:
     """A simulated drive as a bag, and its truth."""
-    of, bag = configure.case(number, upright=True, duration=SECONDS), output / f'drive_{number}'
+    of, bag = (
+        configure.case(number, upright=True, duration=SECONDS, any_fixes=number >= ANY_FIXES),
+        output / f'drive_{number}')
     made = of.recording
     if number in GAPS:
         part = [(samples.stamp - made.imu.stamp[0]) % 60_000_000_000 * 1e-9 for samples in (made.imu, made.gnss)]
@@ -242,10 +246,14 @@ def beside_by_hand(found: dict[str, Way], bag: Path, folder: Path) -> str:
              '--overwrite']):
         return '- | -'
     verdict = json.loads((folder / 'report.json').read_text())['verdict']
-    rows = [f'{change["duration_s"]:g} s: {number(change["before_m"], 2)}, {number(change["after_m"], 2)} m' + (
+    rows = [f'{_which(change)}: {number(change["before_m"], 2)}, {number(change["after_m"], 2)} m' + (
         '' if change['interval_m'] is None else ' ({} to {})'.format(*(number(m, 2) for m in change['interval_m'])))
-        for change in verdict['changes'] if change['duration_s']]
+        for change in verdict['changes'] if change['duration_s'] or change['every_s']]
     return f'{verdict["answer"]} | {"; ".join(rows)}'
+
+
+def _which(change: dict) -> str:
+    return f'{change["duration_s"]:g} s' if change['duration_s'] else f'fixes each {change["every_s"]:g} s'
 
 
 def away(values: dict, offset: float, arm, rotation: np.ndarray, scales=(0.0, 0.0)) -> dict[str, float]:
@@ -291,7 +299,8 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
     output.mkdir(parents=True, exist_ok=True)
     print('| drive | way | time offset, s | arm, m | mounting, deg | 10 / 30 / 60 s without fixes, before, m | '
           'after, m | verdict |\n|---|---|---|---|---|---|---|---|')
-    names = [*WAYED, *(f'drive {number}' for number in SIMULATED)]
+    names = [*WAYED, *dict.fromkeys((*(f'drive {number}' for number in SIMULATED),
+                                     *(name for name in wanted if name.startswith('drive '))))]
     agreed, beside, judged = {}, {}, []
     for name in [n for n in names if not wanted or any(n.startswith(w) for w in wanted)]:
         title = name
@@ -320,7 +329,7 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
     print('\n| drive | do the ways agree | sigmas by which two ways lie apart, at most |\n|---|---|---|')
     for name, said in agreed.items():
         print(f'| {name} | {said} |')
-    print('\n| drive | configure\'s file instead of by hand | without fixes: by hand, configure\'s file '
+    print('\n| drive | configure\'s file instead of by hand | without fixes, with few: by hand, configure\'s file '
           '(95 % interval of the difference) |\n|---|---|---|')
     for name, said in beside.items():
         print(f'| {name} | {said} |')

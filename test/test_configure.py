@@ -243,7 +243,7 @@ def test_what_the_parameters_say_is_not_said_again(late):
 
     # given nothing: the offset is named; given a wrong one: what is left of it
     nothing, _ = said()
-    assert 'early' in nothing['warning'] and 'see gnss.time_offset' in nothing['warning']
+    assert 'early' in nothing['warning'] and 'set gnss.time_offset to -' in nothing['warning']
     wrong, _ = said(**{'gnss.time_offset': -0.2})
     assert 'beside gnss.time_offset -0.2 s' in wrong['warning']
     # given the right ones there is no warning on it
@@ -601,6 +601,19 @@ def test_quiet_motion_is_taken_for_a_standstill_only_where_it_is_slow(speed, tol
                 if f.settings == ('vehicle.zero_velocity',)]
     moving = made.imu.select(made.imu.stamp > made.imu.stamp[0] + 70_000_000_000)
     assert standstills_show(moving, made.gnss) is None
+
+
+@pytest.mark.parametrize(('speed', 'told'), [(1.0, False), (15.0, True)])
+def test_standstills_stay_in_use_after_a_drive_without_one_unless_its_motion_is_slow_and_quiet(speed, told):
+    # given a drive that begins and ends in motion
+    made = even_drive(speed)
+    moving = made.imu.select(made.imu.stamp > made.imu.stamp[0] + 70_000_000_000)
+    vehicle = assess_vehicle(moving, np.zeros(len(moving), bool), None, 1.0, made.gnss)
+    # then its rest is not known, and standstills are left out only for what its motion shows
+    assert vehicle.rest_force is None and vehicle.alike == pytest.approx(0.0 if told else 1.0, abs=0.05)
+    settings = {setting.name: setting.value for setting in vehicle_settings([SimpleNamespace(vehicle=vehicle)])}
+    assert settings.get('vehicle.zero_velocity') is (None if told else False)
+    assert 'vehicle.still_rate' not in settings
 
 
 @pytest.mark.parametrize('decay', [0.0, 0.3, 0.99, 0.99999])

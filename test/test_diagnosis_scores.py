@@ -665,6 +665,13 @@ def test_what_cannot_be_is_told_with_what_it_stands_for():
     assert implausible('gnss_lever_arm', {'y': Estimate(-3.3, 0.2, 'm')})
     assert implausible('gnss_lever_arm', {'y': Estimate(-3.3, 0.8, 'm')}) == ''
     # what lasts for less than the time between fixes is no coloured noise
+    # nor is an offset of an input whose clock shows another one; a clock that shows little denies nothing
+    late = {'time_offset': Estimate(-0.15, 0.02, 's')}
+    for value, sigma, denied in ((0.003, 0.012, True), (-0.12, 0.012, False), (0.1, 0.5, False), (0.0, np.inf, False)):
+        clock = {'speed_time_offset.time_offset': Estimate(value, sigma, 's')}
+        assert bool(implausible('speed_time_offset', late, clock)) is denied
+    # that of the fixes is found together with arm and smoothing, which the track alone need not tell
+    assert not implausible('gnss_time_offset', late, {'gnss_time_offset.time_offset': Estimate(0.003, 0.012, 's')})
     assert 'white' in implausible('gnss_coloured_noise', {'tau': Estimate(0.5, 0.2, 's')})
     assert implausible('gnss_coloured_noise', {'tau': Estimate(1.5, 0.2, 's')}) == ''
     assert implausible('gnss_coloured_noise', {'sigma': Estimate(0.5, 0.2, 'm')}) == ''

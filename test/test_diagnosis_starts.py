@@ -21,7 +21,7 @@ from mems_ins_fusion.diagnosis.judging import Judged, small
 from mems_ins_fusion.diagnosis.known import Known
 from mems_ins_fusion.diagnosis.noise import calibrated, noise_unknowns
 from mems_ins_fusion.diagnosis.plausible import implausible
-from mems_ins_fusion.diagnosis.problem import Problem
+from mems_ins_fusion.diagnosis.problem import Problem, Unknown
 from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, Shown, other_starts, shown_without_filter
 from mems_ins_fusion.diagnosis.tracing import Candidate, effect_unknowns
 from mems_ins_fusion.diagnosis.trial_runs import TrialRuns
@@ -88,6 +88,19 @@ def test_what_a_receiver_that_smooths_leaves_open_decides_whether_an_offset_is_t
     # then its sigma has that, and with it the offset is not there for certain
     assert open_ == pytest.approx(np.hypot(sure, 0.3)) and sure[0] < 0.1
     assert small(model, [0], sure) == '' and small(model, [0], open_)
+
+
+@pytest.mark.parametrize(('sigma_of_time', 'there'), [(0.3, True), (0.9, True), (1.1, False)])
+def test_a_noise_whose_correlation_time_is_no_better_known_than_itself_is_not_added(sigma_of_time, there):
+    # given a noise of 4 m, known to 0.5 m, and its time of 20 s, as the logarithm of a factor on that
+    scatter = Unknown('gnss_coloured_noise.sigma', None, 0.0, 0.1, 100.0, variance=True)
+    lasting = Unknown('gnss_coloured_noise.tau', None, 0.0, 0.1, 1.0, factor_on=20.0)
+    model = SimpleNamespace(unknowns=[scatter, lasting], x=np.array([16.0, 0.0]))
+    # then it counts only where the time is known as well: 20 +- 22 s is none that a filter could be told
+    against = small(model, [0, 1], np.array([4.0, sigma_of_time]))
+    assert (against == '') is there and (there or 'tau' in against)
+    # and a scatter whose sigma is as large as itself is not told, either
+    assert 'sigma is not determined' in small(model, [0], np.array([33.0]))
 
 
 def test_what_effects_added_later_leave_unsure_is_not_set(late, monkeypatch):

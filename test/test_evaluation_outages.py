@@ -121,6 +121,18 @@ def test_more_outages_do_not_change_an_outage(recording):
     assert among.max_error[among.begin == stamps[100]].tolist() == alone.max_error.tolist()
 
 
+def test_outages_of_several_lengths_in_one_run_are_those_of_a_run_for_each(recording):
+    truth, stamps = truth_of(recording), recording.gnss.stamp
+    begin, longest = stamps[60:140:5], np.tile([20.0, 5.0], 8)
+    several = run_outages(config(), recording.imu, recording.gnss, truth, [5.0, 20.0], begin, longest=longest)
+    # given runs of one length each, then there are only those of the length that was asked for, to the last bit
+    for outages, wanted in zip(several, (longest >= 5.0, longest >= 20.0)):
+        alone, = run_outages(config(), recording.imu, recording.gnss, truth, [outages.duration], begin[wanted])
+        assert outages.begin.tolist() == begin[wanted].tolist()
+        for name in ('max_error', 'distance', 'growth', 'sigma', 'kept', 'announced', 'crossed'):
+            assert np.array_equal(getattr(outages, name), getattr(alone, name)), name
+
+
 def test_an_outage_that_the_recording_does_not_hold_is_not_counted(recording):
     truth, stamps = truth_of(recording), recording.gnss.stamp
     begin = np.array([stamps[2], stamps[100], stamps[-12]])  # before the start, inside, 11 s before the end

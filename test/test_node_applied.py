@@ -8,7 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ros_support import PLAYABLE, NodeProcess, Peer, stamp_of
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_support import PLAYABLE, NodeProcess, Peer, call, stamp_of
+from std_srvs.srv import Trigger
 from test_applying import HERE, NAME, drive
 from test_fusion_node import flat
 from test_online import OFFSET, SECOND, blind, finding
@@ -57,6 +60,69 @@ def test_what_was_found_on_another_device_is_not_used(recording, kept, tmp_path)
         assert any('the filter will use gnss.time_offset: 0.0' in line for line in node.lines)
         node.send(signal.SIGINT)
         assert node.wait() == 0
+    peer.close()
+
+
+def test_what_a_user_accepts_and_rejects_outlasts_a_kill_at_once(tmp_path):
+    late, path, peer = drive(minutes=4.0), tmp_path / 'state.json', Peer()
+    arguments = (*PLAYABLE, '-p', 'diagnosis.online:=apply', '-p', 'diagnosis.share:=1.0', '-p', f'state_file:={path}')
+    begun = late.having({name: samples.select(samples.stamp < late.imu.stamp[0] + 62 * SECOND)
+                         for name, samples in late.streams().items()})
+    told = []  # by finding, what each message that is latched has of it
+
+    def on_calibration(message):
+        told.append({status.name.rpartition(': ')[2]: {pair.key: pair.value for pair in status.values}
+                     for status in message.status})
+    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    peer.node.create_subscription(DiagnosticArray, '/fusion_node/calibration', on_calibration, latched)
+
+    def asked(word):
+        response = call(peer, Trigger, f'/fusion_node/calibration/{word}', Trigger.Request())
+        assert response.success
+        return response.message
+
+    def used(node, text):
+        """Go on with the drive until the node uses other parameters; the file then."""
+        for i in range(len(begun.imu), len(late.imu)):
+            peer.send_imu(late.imu, i)
+            if line := node.says('the filter will use', 0.2):
+                assert text in line
+                peer.send_imu(late.imu, i)
+                node.wait_for('does not follow')  # the file has been written by then
+                return of_file(path)
+        raise AssertionError('the node does not use it')
+
+    # given a node that has something on trial, which is no part of the file
+    with NodeProcess('fusion_node', *arguments) as node:
+        node.wait_until_ready()
+        peer.connect(node, begun)
+        peer.play(node, begun)
+        peer.spin_until(lambda: f'{NAME} COARSE' in asked('report'))
+        assert not path.exists() or of_file(path) == {}
+        # when a user accepts it, then it is used and in the file, before the node has had the time to write it anyway
+        asked('accept')
+        (name, sets), = used(node, 'gnss.time_offset: 0.').items()
+        assert name == NAME and sets['gnss.time_offset'] == pytest.approx(OFFSET, abs=0.05)
+        peer.spin_until(lambda: told[-1][NAME]['applied'] == 'True')
+        node.send(signal.SIGKILL)
+        node.wait()
+    # so that the next start begins with it, SUSPECT
+    with NodeProcess('fusion_node', *arguments) as node:
+        node.wait_for(f'{NAME} of an earlier drive: gnss.time_offset: ')
+        node.wait_until_ready()
+        peer.connect(node, begun)
+        peer.play(node, begun)
+        peer.spin_until(lambda: f'{NAME} SUSPECT' in asked('report'))
+        assert told[-1][NAME]['applied'] == 'True' and told[-1][NAME]['state'] == 'SUSPECT'
+        # and what a user rejects is neither used nor in the file,
+        asked('reject')
+        assert used(node, 'gnss.time_offset: 0.0 ') == {}
+        # and after a reset the latched message, too, has none
+        asked('reset')
+        peer.spin_until(lambda: told[-1] == {} and asked('report') == 'nothing known yet')
+        node.send(signal.SIGKILL)
+        node.wait()
+    assert of_file(path) == {}
     peer.close()
 
 

@@ -3,10 +3,15 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
+from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.quantity import Kept
 from mems_ins_fusion.nodes.state_file import StateFile
 from mems_ins_fusion.parameters.parameter import ParameterError
 
@@ -73,6 +78,37 @@ def test_a_write_that_fails_leaves_the_old_file_and_says_so(path, monkeypatch):
     said = file.write({**HERE, 'yaw': np.pi})
     assert said == f'state file {path}: not written: No space left on device'
     assert json.loads(path.read_text())['filter'] == HERE
+    assert [one.name for one in path.parent.iterdir()] == [path.name]
+
+
+#: of a process that writes a state file: from then on it is killed at its next `os.fsync` or `os.replace`
+KILLED = """
+import os, signal, sys
+from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.quantity import Kept
+from mems_ins_fusion.nodes.state_file import StateFile
+file = StateFile(sys.argv[1], 3600.0, 20.0)
+assert file.read() is None
+setattr(os, sys.argv[2], lambda *arguments: os.kill(os.getpid(), signal.SIGKILL))
+kept = Kept('gnss_time_offset', {'time_offset': Estimate(0.4, 0.01, 's')}, {'gnss.time_offset': 0.4}, 1)
+file.write({**dict.fromkeys(('stamp', 'latitude', 'longitude', 'height'), 1.0)}, [kept], {'imu_topic': '/imu'})
+"""
+
+
+@pytest.mark.parametrize('at', ['fsync', 'replace'])
+def test_a_kill_while_it_is_written_leaves_the_old_one(path, at):
+    # given what an earlier drive has found, and a node that is killed while it writes something else
+    file, _ = opened(path)
+    sets, topics = {'gnss.time_offset': 0.2}, {'imu_topic': '/imu'}
+    kept = Kept('gnss_time_offset', {'time_offset': Estimate(0.2, 0.01, 's')}, sets, 1)
+    assert file.write(HERE, [kept], topics) is None
+    status = subprocess.run([sys.executable, '-c', KILLED, str(path), at]).returncode
+    assert status == -signal.SIGKILL and len(list(path.parent.iterdir())) == 2
+    # then the next start has what was there before, and nothing else is left
+    file, said = opened(path)
+    assert said is None and file.calibration(topics)[0] == [kept]
+    assert [one.name for one in path.parent.iterdir()] == [path.name]
+    assert file.fitting(HERE['stamp'], 0.84, 0.2, 480.0)[0] == HERE
 
 
 def test_what_a_kill_has_left_beside_it_goes_at_the_next_start(path):

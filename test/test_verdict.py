@@ -155,6 +155,10 @@ def test_the_words_hold_the_interval_and_its_unit():
     assert change.turned.before == change.after and change.turned.interval() == pytest.approx((-high, -low))
     content = verdict_json(decide([change]))
     assert content['answer'] in ('better', 'cannot_tell') and content['because']
+    # errors with all fixes and with few are two rows, which a program can tell apart
+    of_fixes = [change_with_fixes(np.arange(9.0), np.ones(9), every=every) for every in (0.0, 6.0)]
+    assert [(c['duration_s'], c['every_s']) for c in verdict_json(decide([change, *of_fixes]))['changes']] == [
+        (change.duration, 0.0), (None, 0.0), (None, 6.0)]
 
 
 def test_a_headline_does_not_contradict_the_file():
@@ -222,6 +226,45 @@ def test_a_diagnosis_that_proves_nothing_says_what_the_recording_contradicts():
     # a proof comes before it
     assert 'as configure' not in str(_steps(SimpleNamespace(**{
         **vars(kept), 'better': True, 'changed': True, 'trust': trusted([])}), 'out', 'my.yaml', ['gnss.time_offset']))
+
+
+def test_a_diagnosis_is_green_only_where_a_gain_is_proven_or_nothing_is_wrong():
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_answer import _grade
+
+    def grade(lacking=False, **of):
+        return _grade(SimpleNamespace(**{'trust': trusted([]), 'better': False, 'changed': False} | of), lacking)
+
+    untrue = replace(trusted([]), answer='no')
+    assert grade(better=True, changed=True) == grade() == 'good'
+    # a changed file without a proof, innovations that are not right, sigmas that are too small
+    assert grade(changed=True) == grade(lacking=True) == grade(better=True, changed=True, trust=untrue) == 'warning'
+    assert grade(trust=untrue) == 'bad'
+
+
+@pytest.mark.parametrize(('saves', 'said'), [
+    (None, ''), ((30.0, 5.0, 5.01), ''), ((30.0, 0.0, 0.0), ''),
+    ((30.0, 5.0, 4.0), ' When it was added, the error in 30 s without fixes became 20 % smaller.'),
+    ((10.0, 5.0, 5.5), ' When it was added, the error in 10 s without fixes became 10 % larger.')])
+def test_what_one_effect_gains_is_told_in_per_cent(saves, said):
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_answer import _saves
+
+    assert _saves(SimpleNamespace(saves=saves)) == said
+
+
+def test_who_keeps_the_parameters_is_told_to_drive_on_with_them():
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_answer import _steps
+
+    for answer in (SAME, WORSE):
+        kept = SimpleNamespace(better=False, changed=False, findings=[], values={}, corrected={},
+                               verdict=replace(decide([]), answer=answer))
+        step, = _steps(kept, 'out', 'my.yaml', [])
+        assert step.command.endswith('fusion_node --ros-args --params-file my.yaml')
 
 
 def test_what_parameters_were_fitted_to_is_known_by_its_content(tmp_path):

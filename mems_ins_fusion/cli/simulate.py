@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import argparse
+import textwrap
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from mems_ins_fusion.effects.registry import EFFECTS, effects_of
 from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.hints import did_you_mean
 from mems_ins_fusion.parameters import params_file, table
+from mems_ins_fusion.reports.answer import WIDTH
 
 #: what options may be: lowest, highest, unit
 _RANGES = {'duration': (0.1, 1e7, ' s'), 'rate': (1.0, 1e4, ' Hz'), 'gnss_rate': (1e-4, 1e3, ' Hz'),
@@ -81,9 +83,11 @@ def simulate(options: argparse.Namespace) -> str:
     _write(simulation, options, values)
     recording = simulation.recording
     distance = np.linalg.norm(np.diff(drive.position, axis=0), axis=1).sum()
-    added = '; '.join(f'{effect.name} {" ".join(f"{k}={v:g}" for k, v in given.items())}' for effect, given in effects)
-    return (f'{options.output}: {drive.time[-1]:g} s, {distance / 1000:.2f} km, {len(recording.imu)} IMU samples with '
-            f'{model} errors, {len(recording.gnss)} fixes with sigma {sigma:g} m; effects: {added or "none"}')
+    added = '; '.join(f'{effect.name} {" ".join(f"{k}={v:.3g}" for k, v in given.items())}'
+                      for effect, given in effects)
+    said = (f'{options.output}: {drive.time[-1]:g} s, {distance / 1000:.2f} km, {len(recording.imu)} IMU samples '
+            f'({model} errors), {len(recording.gnss)} fixes of {sigma:g} m', f'effects: {added or "none"}')
+    return '\n'.join(line for one in said for line in textwrap.wrap(one, WIDTH, subsequent_indent='    '))
 
 
 def _scene(options):

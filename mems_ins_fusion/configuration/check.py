@@ -59,7 +59,7 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
     if fixes is None or len(imu) < 2:
         return findings
     if found is None or not found.yaw_known:
-        findings.append(Finding(INFO, 'imu', f'{YAW_NOT_SHOWN} here: too few turns and changes of speed'))
+        findings.append(Finding(INFO, 'imu', f'{YAW_NOT_SHOWN}: too few turns and stops'))
     elif not findings:
         findings.append(_mounting_left(found, values))
     return [*findings, *check_standstills(imu, fixes, values), *_check_offset(found, values),
@@ -71,14 +71,14 @@ def check_standstills(imu: ImuSamples, fixes: Fixes | None, values: dict):
     shown = standstills_show(imu, fixes) if values['vehicle.zero_velocity'] else None
     if shown is None or shown[0]:
         return
-    seen = f'{shown[1]:.0%} of the seconds in motion are slow and as quiet as rest'
+    seen = f'{shown[1]:.0%} of the motion is slow and as quiet as rest'
     wheels = [values[one.topic] for one in aiding(values) if one.kind in (Kind.SPEED, Kind.TWIST) and values[one.topic]]
     if wheels:
-        yield Finding(INFO, 'imu', f'{seen}: a standstill counts only where {" and ".join(wheels)} '
-                      f'{"do" if len(wheels) > 1 else "does"} not say that the vehicle moves', {'alike': shown[1]})
+        yield Finding(INFO, 'imu', f'{seen}: standstills count only where {" and ".join(wheels)} '
+                      f'{"do" if len(wheels) > 1 else "does"} not say motion', {'alike': shown[1]})
     else:
-        yield Finding(WARNING, 'imu', f'{seen}, and may be taken for standstills: set vehicle.zero_velocity: false, or '
-                      'give the filter a wheel speed', {'alike': shown[1]}, ('vehicle.zero_velocity',))
+        yield Finding(WARNING, 'imu', f'{seen}: set vehicle.zero_velocity: false', {'alike': shown[1]},
+                      ('vehicle.zero_velocity',))
 
 
 def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | None]:
@@ -118,27 +118,24 @@ def _check_offset(found: Mounting | None, values: dict):
     """What the parameters leave of time offset and arm."""
     offset = found.offset if found is not None else None
     if offset is None or not offset.shown:
-        yield Finding(INFO, 'imu/gnss', 'turns and changes of speed too few, or fixes too noisy, to see an offset of '
-                      'the clocks')
+        yield Finding(INFO, 'imu/gnss', 'a clock offset would not show: too few turns and stops, or noisy fixes')
         return
     left = {one.name: one for one in remaining_of(found, values)}
     lag, declared = left[TIME_OFFSET], values['gnss.time_offset']
     seen = {'lag_s': offset.lag, 'sigma_s': offset.lag_sigma, 'left_s': lag.value, 'arm_m': offset.arm.tolist(),
             'arm_sigma_m': offset.arm_sigma.tolist(), 'rivals_s': list(offset.rivals)}
-    beside = f' beside gnss.time_offset {declared:g} s' if declared else ''
     if lag.certain(SMALL_OFFSET, SURE):
-        size = f'{abs(lag.value):.3f} s {"late" if lag.value > 0 else "early"} (sigma {lag.sigma:.3f} s)'
-        yield Finding(WARNING, 'imu/gnss', f'against the IMU the fixes are {size}{beside}: a clock offset, see '
-                      f'gnss.time_offset, which would be {offset.lag:.3f}', seen, ('gnss.time_offset',))
+        yield Finding(WARNING, 'imu/gnss', f'the fixes are {_late(lag, "gnss.time_offset", declared)} to '
+                      f'{offset.lag:.3f}', seen, ('gnss.time_offset',))
     else:
-        what = f'what is left of the time offset{beside}' if declared else 'no clock offset to be seen'
+        beside = f'what is left of the time offset beside gnss.time_offset {declared:g} s'
+        what = beside if declared else 'no clock offset to be seen'
         yield Finding(INFO, 'imu/gnss', f'{what}: {round(lag.value, 3) + 0.0:.3f} +- {lag.sigma:.3f} s', seen)
     arm = [left[name] for name in ARM if left[name].sigma < VAGUE_ARM]
     if any(part.certain(SMALL_ARM, SURE) for part in arm):
         words = ', '.join(f'{seen:.2f} +- {sigma:.2f} m {name}' for seen, sigma, name in zip(
             offset.arm, offset.arm_sigma, ARM) if sigma < VAGUE_ARM)
-        yield Finding(WARNING, 'gnss', f'from the IMU to the antenna it is {words}, where gnss.lever_arm says '
-                      f'{yaml_value([float(x) for x in values["gnss.lever_arm"]])}',
+        yield Finding(WARNING, 'gnss', f'gnss.lever_arm would be {words}',
                       {'arm_m': offset.arm.tolist(), 'arm_sigma_m': offset.arm_sigma.tolist()}, ('gnss.lever_arm',))
 
 
@@ -168,7 +165,7 @@ def _mounting_left(found: Mounting, values: dict) -> Finding:
     left = [one for one in remaining_of(found, values) if one.name in ANGLES]
     words = ', '.join(f'{one.name} {math.degrees(one.value) + 0.0:.1f} +- {math.degrees(one.sigma):.1f}'
                       for one in left)
-    return Finding(INFO, 'imu', f'what is left of imu.mounting_rpy, deg about forward, left and up: {words}',
+    return Finding(INFO, 'imu', f'left beside imu.mounting_rpy, deg: {words}',
                    {one.name: one.value for one in left} | {f'{one.name}_sigma': one.sigma for one in left})
 
 
@@ -205,16 +202,20 @@ def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, v
 def _clock_finding(name: str, left: Remaining, declared: float, against: str) -> Finding:
     topic = f'{"gnss" if against == "fixes" else "imu"}/{name}'
     if not math.isfinite(left.sigma):
-        return Finding(INFO, topic, 'turns and changes of speed too few, or too much noise, to see how late the '
-                       f'{name} is')
+        return Finding(INFO, topic, f'how late the {name} is would not show: too few turns and stops, or noise')
     shown = {'lag_s': declared + left.value, 'sigma_s': left.sigma, 'left_s': left.value}
-    beside = f' beside {name}.time_offset {declared:g} s' if declared else ''
     if left.certain(SMALL_OFFSET, SURE):
-        return Finding(WARNING, topic, f'against the {against} the {name} is {abs(left.value):.3f} s '
-                       f'{"late" if left.value > 0 else "early"} (sigma {left.sigma:.3f} s){beside}: set '
-                       f'{name}.time_offset to {declared + left.value:.2f}', shown)
+        return Finding(WARNING, topic, f'the {name} is {_late(left, f"{name}.time_offset", declared)} to '
+                       f'{declared + left.value:.2f}', shown)
+    beside = f' beside {name}.time_offset {declared:g} s' if declared else ''
     return Finding(INFO, topic, f'the {name} is of the time of its stamps{beside}: {left.value:.3f} +- '
                    f'{left.sigma:.3f} s', shown)
+
+
+def _late(left: Remaining, name: str, declared: float) -> str:
+    """How late something is beside the offset that is declared for it as `name`, s, and what to set."""
+    return (f'{abs(left.value):.3f} +- {left.sigma:.3f} s {"late" if left.value > 0 else "early"}'
+            + (f' beside {name} {declared:g} s: set it' if declared else f': set {name}'))
 
 
 def _compare(found: Mounting, values: dict) -> list[Finding]:

@@ -28,6 +28,7 @@ from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.parameters.table import defaults, parameters_of
 from mems_ins_fusion.recordings.checker import INFO, Finding, check_recording
 from mems_ins_fusion.recordings.errors import RecordingError
+from mems_ins_fusion.recordings.findings import checked_text
 from mems_ins_fusion.recordings.motion import find_standstill, without_turns
 from mems_ins_fusion.recordings.several import refuse_twice
 from mems_ins_fusion.recordings.sketch import sketch
@@ -116,7 +117,7 @@ def configured(topics: Topics, drives: Sequence[Drive], fixes: Sequence[Fixes | 
                                           ['hashes of the recordings that the values are from'])])
     return Configuration(tuple(settings), topics, tuple(drives), mounting,
                          tuple(_missing(topics, drives, mounting)),
-                         (*_wrong(drives), *against, *astray.values(), *beyond))
+                         (*_wrong(topics, drives), *against, *astray.values(), *beyond))
 
 
 def _possible(found: Iterable[Setting]) -> tuple[list[Setting], list[str]]:
@@ -197,16 +198,17 @@ def _missing(topics, drives, mounting):
         yield ('the yaw of the mounting is not shown: record a drive with a right-angled turn, some braking and '
                'some speeding up')
     if mounting is not None and not any(drive.still.any() for drive in drives):
-        yield 'no standstill: the noise of the sensors is left at its default, their biases at zero'
+        yield 'no standstill: sensor noise and vehicle.zero_velocity are left at their defaults, biases at zero'
     if all(drive.units.steering is None for drive in drives):
         yield f'no turn tells the unit of the gyroscopes; {drives[0].units.rate} is taken'
     if mounting is None or mounting.offset is None or not mounting.offset.shown:
         yield 'the time offset between IMU and fixes is not shown'
 
 
-def _wrong(drives):
+def _wrong(topics, drives):
     """What is wrong with the recordings, each once."""
-    said = [f'{finding.topic}: {finding.message}' for drive in drives for finding in drive.findings]
+    names = {part: found[0].topic for part, found in (('imu', topics.imu), ('gnss', topics.gnss)) if found}
+    said = [checked_text(finding, names) for drive in drives for finding in drive.findings]
     units = {(drive.units.acceleration, drive.units.rate) for drive in drives}
     if len(units) > 1:
         said.append('the recordings are in different units; those of the first are written')

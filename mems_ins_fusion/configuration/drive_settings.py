@@ -232,18 +232,18 @@ def vehicle_settings(drives):
         f'velocity across the nose scatters by {max(v.sideways for v in seen):.2f} m/s, '
         f'{max(v.noise for v in seen):.2f} m/s of it by the fixes' if seen else
         'too few turns to see it; the default is that of vehicles on wheels',))
+    alike = max((vehicle.alike for vehicle in vehicles if vehicle.alike is not None), default=0.0)
+    told, quiet = alike < LARGEST_ALIKE, f'{alike:.0%} of the seconds in motion are slow and as quiet as rest'
     rest = [vehicle for vehicle in vehicles if vehicle.rest_force is not None]
-    if not rest:
-        yield Setting('vehicle.zero_velocity', False, ('no standstill beside motion shows how to tell them apart',))
+    if not rest:  # that there is no standstill is no reason against those to come
+        if not told:
+            yield Setting('vehicle.zero_velocity', False, (f'{quiet} by default: not to be told from standstills',))
         return
     force, rate = max(v.rest_force for v in rest), max(v.rest_rate for v in rest)
     drive_force, drive_rate = min(v.drive_force for v in rest), min(v.drive_rate for v in rest)
-    alike = max(v.alike for v in rest)
-    told = alike < LARGEST_ALIKE
     yield Setting('vehicle.zero_velocity', told, (
         f'axes scatter by up to {force:.2g} m/s^2 and {rate:.2g} rad/s at rest, by {drive_force:.2g} and '
-        f'{drive_rate:.2g} and more in motion; {alike:.0%} of the seconds in motion are slow and as quiet as rest'
-        + ('' if told else ': not to be told apart'),))
+        f'{drive_rate:.2g} and more in motion; {quiet}' + ('' if told else ': not to be told apart'),))
     if told:
         yield Setting('vehicle.still_acceleration', _threshold(force, drive_force), ('between rest and motion',))
         yield Setting('vehicle.still_rate', _threshold(rate, drive_rate), ('between rest and motion',))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mems_ins_fusion.configuration.mounting import Mounting
+from mems_ins_fusion.parameters.table import defaults
 from mems_ins_fusion.recordings.motion import find_standstill, positions, robust_sigma
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
@@ -22,6 +23,8 @@ _SIDEWAYS = 0.5
 _ARM_KNOWN = 1.0
 #: s; over which the scatter of samples is taken, as the filter judges rest
 _BLOCK = 1.0
+#: blocks at rest and in motion, from which on their scatter is known: chosen, not measured
+_FEWEST_AT_REST, _FEWEST_IN_MOTION = 3, 10
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,8 @@ class Vehicle:
     noise: m/s, of it by the receiver alone. wheels: whether that is how a vehicle with wheels moves, None unknown.
     rest_force, rest_rate: what axes scatter by at rest (95 % of the seconds stay below), m/s^2 and rad/s, or None.
     drive_force, drive_rate: what they scatter by in motion (95 % of the seconds stay above). alike: share of the
-    seconds in motion that are slow and stay below rest_force and rest_rate, both."""
+    seconds in motion that are slow and stay below rest_force and rest_rate, both; where the drive has no standstill,
+    below the defaults of vehicle.still_acceleration and vehicle.still_rate."""
 
     sideways: float | None
     noise: float
@@ -64,8 +68,8 @@ def standstills_show(imu: ImuSamples, fixes: Fixes | None) -> tuple[bool, float]
     fixes: usable ones; None where there are none."""
     if len(imu) < 2 or not np.median(np.diff(imu.stamp)) > 0:
         return None
-    alike = _scatter(imu, find_standstill(imu, fixes), fixes)[-1]
-    return None if alike is None else (alike < LARGEST_ALIKE, alike)
+    rest, *_, alike = _scatter(imu, find_standstill(imu, fixes), fixes)
+    return None if rest is None else (alike < LARGEST_ALIKE, alike)
 
 
 def _ahead(found: Mounting) -> float:
@@ -94,11 +98,12 @@ def _scatter(imu, still, fixes):
     both = np.hstack([imu.specific_force, imu.angular_rate])[:count * size].reshape(count, size, 6).std(axis=1)
     part = still[:count * size].reshape(count, size).mean(axis=1)
     rest, drive = both[part == 1.0], both[part == 0.0]
-    if len(rest) < 3 or len(drive) < 10:
+    if len(drive) < _FEWEST_IN_MOTION:
         return [None] * 5
-    sensors = slice(0, 3), slice(3, 6)
-    most = [np.percentile(rest[:, axes].max(axis=1), 95) for axes in sensors]
+    sensors, there = (slice(0, 3), slice(3, 6)), len(rest) >= _FEWEST_AT_REST
+    most = ([float(np.percentile(rest[:, axes].max(axis=1), 95)) for axes in sensors] if there else
+            [defaults()[name] for name in ('vehicle.still_acceleration', 'vehicle.still_rate')])
     alike = np.all([drive[:, axes].max(axis=1) < limit for axes, limit in zip(sensors, most)], axis=0)
     alike &= _slow(imu.stamp[size // 2:count * size:size][part == 0.0], fixes)
-    return [*map(float, most), *(float(np.percentile(drive[:, axes].max(axis=1), 5)) for axes in sensors),
-            float(alike.mean())]
+    least = [float(np.percentile(drive[:, axes].max(axis=1), 5)) for axes in sensors]
+    return [*(most if there else (None, None)), *least, float(alike.mean())]

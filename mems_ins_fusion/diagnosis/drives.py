@@ -112,8 +112,8 @@ def problems(recordings: Sequence[Recording], values: dict, fewest: int,
             problem = Problem(recording, values, others=others)
             count = int(problem.mask.sum())
             if count < fewest:
-                raise DiagnosisError(f'{recording.name}: {count} fixes while the filter runs, at least {fewest} are '
-                                     'needed: record some minutes of driving with fixes every second')
+                raise DiagnosisError(f'{recording.name}: {count} fixes while the filter runs, {fewest} are needed: '
+                                     'record a longer drive')
             found.append(problem)
         except DiagnosisError as error:
             left_out[recording.name] = str(error)

@@ -115,11 +115,20 @@ def _of_another_clock(known: Known, candidate: Candidate, trials: TrialRuns) -> 
 
 
 def small(model: Model, own: Sequence[int], sigma: np.ndarray) -> str:
-    """An objection to an effect with the unknowns `own` (indices) none of which is PLAIN; empty where one is. sigma:
-    (p,) of all unknowns."""
-    plain = [u.variance or u.factor_on is None and abs(x) >= PLAIN * s
-             for u, x, s in ((model.unknowns[i], model.x[i], sigma[i]) for i in own)]
-    return '' if any(plain) else f'less than {PLAIN:g} sigma'
+    """An objection to an effect with the unknowns `own` (indices) none of which is PLAIN, or with a size or a time that
+    is no larger than its own sigma; empty where there is none. sigma: (p,) of all unknowns.
+
+    That a scatter is there at all is decided by its likelihood, as it cannot be negative.
+    """
+    found = [(model.unknowns[i], model.x[i], sigma[i]) for i in own]
+    if not any(u.variance or u.factor_on is None and abs(x) >= PLAIN * s for u, x, s in found):
+        return f'less than {PLAIN:g} sigma'
+    for unknown, x, s in found:
+        if unknown.variance or unknown.factor_on is not None:
+            value, own_sigma = unknown.meant(x, s)
+            if value <= own_sigma:
+                return f'{unknown.parameter} is not determined: its sigma is as large as the value'
+    return ''
 
 
 def _diluted(estimate: Estimate, part: float) -> Estimate:

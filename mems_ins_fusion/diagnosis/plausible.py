@@ -10,6 +10,8 @@ from .estimate import Estimate
 #: over a second the track shows a lag that is too small by up to 0.8 s^2, beyond its sigma
 _SHOWN = {'gyroscope_scale.z': ('the angle of the course shows a scale', 0.05),
           'gnss_lag.lag': ('the track between fixes shows a lag', 2.0)}
+#: the same of the clock of an input: where it is shown only vaguely, an offset is not denied by that
+_CLOCK_SHOWN = 'its stamps beside the IMU or the fixes show an offset', 0.05
 #: sigmas that two values of one quantity are apart which contradict each other
 _CONTRADICTED = 4.0
 
@@ -20,12 +22,14 @@ def implausible(effect: str, parameters: Mapping[str, Estimate], shown: Mapping[
     shown: what the recordings show of them without a filter (`TrialRuns.shown`). What is far from that, or is large
     where nothing of it is shown, is none.
     """
-    for name, (words, alike) in _SHOWN.items():
+    clocks = {name: _CLOCK_SHOWN for name in shown or ()
+              if name.endswith('_time_offset.time_offset') and not name.startswith('gnss_time_offset')}
+    for name, (words, alike) in (_SHOWN | clocks).items():
         own, seen = parameters.get(name.removeprefix(f'{effect}.')), (shown or {}).get(name)
         if seen is None or own is None or own.value is None:
             continue
         contradicted = abs(own.value - seen.value) > max(_CONTRADICTED * seen.sigma, alike)
-        if contradicted or abs(own.value) > alike and abs(seen.value) <= seen.sigma:
+        if contradicted or name not in clocks and abs(own.value) > alike and abs(seen.value) <= seen.sigma:
             return f'{words} of {seen.text()}, which {"contradicts it" if contradicted else "is none"}'
     known = effect_called(effect)
     beyond = [f'{name} of {estimate.text()}' for name, estimate in parameters.items()

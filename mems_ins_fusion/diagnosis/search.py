@@ -13,6 +13,7 @@ from ..effects.gnss_outliers import far_off
 from . import learned_mounting
 from .agreement import plainest_in_one
 from .drives import Drives
+from .estimate import Estimate
 from .exact import sigmas
 from .findings import Finding
 from .fit import Model, fit, scores
@@ -24,6 +25,7 @@ from .known import Known
 from .measured import saved
 from .noise import calibrated, noise_unknowns
 from .outliers import isolated
+from .plausible import implausible
 from .tracing import (
     SIGNIFICANCE,
     Candidate,
@@ -199,7 +201,7 @@ def _tried(known: Known, significant, candidates: list[Candidate], trials: Trial
             if n in judged and not judged[n].against and (
                     best.against or all_in_all(compared(best.errors, judged[n].errors)) < 1 / DIFFERENT):
                 best = judged[n]
-        others = [n for n in names if n != best.candidate.name and (
+        others = [n for n in names if n != best.candidate.name and not _denied(n, candidates, trials) and (
             n not in judged or all_in_all(compared(best.errors, judged[n].errors)) < DIFFERENT)]
         sizes = trials.told(name, best.parameters) if best.against else best.parameters
         finding = Finding(best.candidate.name, [best.candidate.name, *others], sizes, best.candidate.gain,
@@ -214,6 +216,12 @@ def _tried(known: Known, significant, candidates: list[Candidate], trials: Trial
     return replace(known, findings=_with_findings(known.findings, failed), chosen=(*known.chosen, order[0]),
                    effects=tuple(e for e in known.effects if e.name not in names),
                    rejected=(*known.rejected, *(e for e in known.effects if e.name in names)))
+
+
+def _denied(name: str, candidates: Sequence[Candidate], trials: TrialRuns) -> bool:
+    """Whether the recordings, or reason, deny what the candidate of this name would have to be."""
+    return any(c.name == name and implausible(name, {n: Estimate(x, None, '') for n, x in c.values().items()},
+                                              trials.shown) for c in candidates)
 
 
 def _with_findings(findings, new: Sequence[Finding]) -> tuple[Finding, ...]:

@@ -32,16 +32,17 @@ def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, di
     config, truth = FilterConfig.from_parameters(values), truth_of(part, values)
     keep = samples_to_keep(part.imu, truth.reference.stamp)
     first, last = (int(chunk.gnss.stamp[i]) for i in (0, -1))
-    results = {}
-    for duration in OUTAGES:
+    stamps, longest = np.unique(part.gnss.stamp), {}
+    for duration in OUTAGES:  # ascending; a longer one begins where shorter ones begin, so that one run has them all
         length = round(duration * 1e9)
         begin = np.arange(first, last - length + 1, length)
-        stamps = np.unique(part.gnss.stamp)
-        begin = np.unique(stamps[np.searchsorted(stamps, begin)])
-        outages, = run_outages(config, part.imu, part.gnss, truth, [duration], begin - delay, aiding_of(part), keep)
-        results[duration] = {b + delay: (_misfit(errors, b + round((1.0 - JUDGED) * length)), distance) for
-                             b, errors, distance in zip(outages.begin.tolist(), outages.errors, outages.distance)}
-    return results
+        longest |= dict.fromkeys(stamps[np.searchsorted(stamps, begin)].tolist(), duration)
+    begin = np.array(sorted(longest), dtype=np.int64)
+    outages = run_outages(config, part.imu, part.gnss, truth, OUTAGES, begin - delay, aiding_of(part), keep,
+                          np.array([longest[b] for b in begin.tolist()]))
+    return {one.duration: {b + delay: (_misfit(errors, b + round((1.0 - JUDGED) * one.duration * 1e9)), distance) for
+                           b, errors, distance in zip(one.begin.tolist(), one.errors, one.distance)}
+            for one in outages}
 
 
 class Predictions:

@@ -2,10 +2,10 @@
 
 Arguments: share of a core, pid of who wants to know. Pickles on standard input: parameters and what is kept of earlier
 drives, then chunks, each with what the filter has dropped in it, or the name of what a user asks for (accept, reject,
-reset); on standard output: what is known after each, the findings that the filters should have, and whether it was a
-chunk. A second process works, at the
-lowest priority and with one thread; the first one lets it run for that share of each PERIOD and stops it for the rest,
-and ends it when its own parent has gone, however that went. Nothing heavy is imported before there are two.
+reset); on standard output: what is known after each (with something kept, also before the first one), the findings that
+the filters should have, and whether it was a chunk. A second process works, at the lowest priority and with one thread;
+the first one lets it run for that share of each PERIOD and stops it for the rest, and ends it when its own parent has
+gone, however that went. Nothing heavy is imported before there are two.
 """
 from __future__ import annotations
 
@@ -51,15 +51,21 @@ def work(source, sink) -> None:
 
     asked: queue.Queue = queue.Queue(maxsize=1)  # what is beyond waits with who writes it
 
+    def tell(is_chunk: bool) -> None:
+        pickle.dump((online.quantities(), online.wanted, is_chunk), sink)
+        sink.flush()
+
     def answer() -> bool:
         """The next answer; whether there is something to answer any more."""
         one = asked.get()
         if one is None:
             return False
         is_chunk = not isinstance(one, str)
-        quantities = online.take(*one) if is_chunk else getattr(online, one)()
-        pickle.dump((quantities, online.wanted, is_chunk), sink)
-        sink.flush()
+        if is_chunk:
+            online.take(*one)
+        else:
+            getattr(online, one)()
+        tell(is_chunk)
         online.advise()
         return True
 
@@ -74,6 +80,8 @@ def work(source, sink) -> None:
 
     values, kept = pickle.load(source)
     online = Online(values, lambda part, given: found(part, given, between), kept=kept)
+    if kept:
+        tell(is_chunk=False)
     threading.Thread(target=_read, args=(source, asked), daemon=True).start()
     while answer():
         online.analyse()

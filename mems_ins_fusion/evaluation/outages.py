@@ -92,20 +92,22 @@ def _spaced(stamp: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Truth, durations, begin: np.ndarray,
-                aiding: Aiding = Aiding(), keep: np.ndarray | None = None) -> list[Outages]:
+                aiding: Aiding = Aiding(), keep: np.ndarray | None = None,
+                longest: np.ndarray | None = None) -> list[Outages]:
     """The outages of each duration (s) that begin at `begin`, each the only one in its run.
 
     aiding: inputs besides the fixes. keep: IMU samples whose states are used, (n,) bool; they must surround the epochs
-    of the truth.
+    of the truth. longest: s, of each begin (o,) the longest duration that is wanted; None: all.
     """
-    run, coasting = run_with_outages(config, imu, fixes, begin, max(durations), aiding, keep)
+    run, coasting = run_with_outages(config, imu, fixes, begin, max(durations) if longest is None else longest, aiding,
+                                     keep)
     return outages_of(run, coasting, truth, durations, config.imu.restart_gap)
 
 
 def outages_of(run: Run, coasting: Coasting, truth: Truth, durations, longest_gap: float,
                judged: float = 1.0) -> list[Outages]:
-    """The outages of each duration (s) in `coasting`; run: the ordinary run. judged: part of the duration at which
-    `within` is evaluated (1: at the end)."""
+    """The outages of each duration (s) in `coasting`, of those that are as long there; run: the ordinary run. judged:
+    part of the duration at which `within` is evaluated (1: at the end)."""
     durations = sorted(durations)
     driven = Distance(run)
     rows = [slice(first, last) for first, last in zip(coasting.first[:-1], coasting.first[1:])]
@@ -132,8 +134,9 @@ def _fitting(duration: float, coasting: Coasting, errors: list[Errors], truth: T
     if not len(run.stamp):  # a filter that never starts
         return []
     length, last = round(duration * 1e9), min(truth.reference.stamp[-1] if len(truth) else 0, run.stamp[-1])
-    return [(b, a, e) for b, a, e in zip(coasting.begin.tolist(), coasting.announced.tolist(), errors)
-            if b + length <= last and (e[0].stamp <= b + length).any()]
+    return [(b, a, e) for b, d, a, e in zip(coasting.begin.tolist(), coasting.duration.tolist(),
+                                            coasting.announced.tolist(), errors)
+            if d >= duration and b + length <= last and (e[0].stamp <= b + length).any()]
 
 
 def _kept(states: Run) -> Run:

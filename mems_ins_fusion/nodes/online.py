@@ -65,7 +65,10 @@ class OnlineDiagnosis:
         from this sample on, if they have changed."""
         chunk = self._gathering.add_sample(sample)
         if chunk is None:
-            return self._due.asked()
+            findings = self._due.asked()
+            if findings is not None:
+                self._hear()  # the state file is written with `kept` at once
+            return findings
         findings = self._due.at_end_of_chunk()
         if self._due.late:
             self._log.say('info', f'diagnosis.online: {count_of(self._due.late, "minute")} behind the drive: {_BUSY}. '
@@ -136,13 +139,17 @@ class OnlineDiagnosis:
             while True:
                 quantities, findings, is_chunk = pickle.load(self._process.stdout)
                 number += is_chunk
+                self._answers.append((number, quantities))  # before it counts, see `add_sample`
                 self._due.answered(findings, is_chunk)
-                self._answers.append((number, quantities))
         except (EOFError, OSError, ValueError):
             self._answers.append(f'its process has ended ({self._process.wait()})')
 
     def look(self) -> list[DiagnosticStatus]:
         """Publish and log new answers; returns the statuses for /diagnostics. Called once a second."""
+        self._hear()
+        return self._statuses()
+
+    def _hear(self) -> None:
         while self._answers:
             answer = self._answers.popleft()
             if isinstance(answer, str):
@@ -150,12 +157,12 @@ class OnlineDiagnosis:
                 self._known = []
                 continue
             number, quantities = answer
-            self._known = known = _without(self._due.unknown_to(number), quantities)
+            before, self._known = self._known, _without(self._due.unknown_to(number), quantities)
+            known = self._known
             self._kept = [quantity.kept for quantity in known if quantity.applied]
             self._say(known)
-            if known:
-                self._publisher.publish(array(known[0].time, self._statuses()))
-        return self._statuses()
+            if known or before:  # also that nothing is known any more
+                self._publisher.publish(array((known or before)[0].time, self._statuses()))
 
     def _say(self, answer: list[Quantity]) -> None:
         for quantity in answer:

@@ -96,6 +96,7 @@ class StateFile:
                 {'name': one.name, 'set': one.sets, 'topics': topics, 'devices': devices or {}, 'found': one.found,
                  'parameters': {name: [e.value, e.sigma, e.unit] for name, e in one.parameters.items()}}
                 for one in kept]
+        name = None
         try:
             handle, name = tempfile.mkstemp(dir=self._path.parent, prefix=f'.{self._path.name}.')
             with os.fdopen(handle, 'w') as file:
@@ -104,6 +105,8 @@ class StateFile:
                 os.fsync(file.fileno())
             os.replace(name, self._path)
         except OSError as error:
+            if name:  # on a full disk there would be one more every time
+                Path(name).unlink(missing_ok=True)
             return f'state file {self._path}: not written: {error.strerror}'
         return None
 

@@ -190,7 +190,7 @@ def _check_values(imu: ImuSamples):
     if same.mean() > 0.01 and not same.all():
         count = int(same.sum())
         yield Finding(WARNING, 'imu', f'{count_of(count, "sample")} ({same.mean():.0%}) repeat the one before exactly: '
-                      'the messages come faster than the sensor measures',
+                      'the driver is faster than the sensor',
                       {'count': count, 'part': float(same.mean())})
 
 
@@ -225,7 +225,7 @@ def _check_gravity(imu, still, expected, units: Units, declared, values):
     expected: m/s^2, gravity there. declared: `imu.acceleration_unit`. values: parameters.
     """
     up, magnitude = up_axis(imu, still)
-    where = 'at rest' if still.any() else 'on average (the recording shows no standstill)'
+    where = 'at rest' if still.any() else 'without a standstill'
     seen = {'magnitude': magnitude, 'expected': expected, 'up': up.tolist(), 'standstill_s': float(
         still.mean() * (imu.stamp.max() - imu.stamp.min()) * 1e-9)}
     text = f'the specific force is {magnitude:.4g} m/s^2 {where}, gravity there is {expected:.4g} m/s^2'
@@ -300,7 +300,7 @@ def _check_jumps(fixes, weighed_down):
         count = int(jump.sum())
         advice = '; gnss.robust_sigma weighs such fixes down' if weighed_down else ' (see gnss.robust_sigma)'
         yield Finding(INFO if weighed_down else WARNING, 'gnss', f'the position jumps {count_of(count, "time")}, by up '
-                      f'to {size.max():.3g} m, which neither the vehicle nor the stated sigma explains{advice}',
+                      f'to {size.max():.3g} m{advice}',
                       {'count': count, 'largest_m': float(size.max()), 'first_s': float(time[1:][jump][0])})
 
 
@@ -311,7 +311,7 @@ def _check_turns(units: Units, declared: str):
         return
     turned, sigma = (RATE[declared] * value for value in units.steering.turned)
     values = {'ratio': turned, 'sigma': sigma}
-    text = f'the gyroscopes turn through {turned:.3g} times the angle of the course'
+    text = f'the gyroscopes turn through {turned:#.3g} times the angle of the course'
     if units.rate != declared:
         yield Finding(ERROR, 'imu', f'{text}: they seem to be in {units.rate} instead of {declared} (see '
                       'imu.rate_unit)', values)

@@ -1,6 +1,7 @@
 """A remark on a recording, as the bag checker makes them."""
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 INFO, WARNING, ERROR = 'info', 'warning', 'error'
@@ -21,6 +22,12 @@ class Finding:
     message: str
     values: dict = field(default_factory=dict)
     settings: tuple[str, ...] = ()
+
+
+def checked_text(finding: Finding, topics: Mapping[str, str]) -> str:
+    """A finding with the topic it is about. topics: of `imu`, `gnss` and `temperature`."""
+    names = ' and '.join(topics.get(part) or part for part in finding.topic.split('/'))
+    return f'{names}: {finding.message}'
 
 
 def count_of(number: int, thing: str) -> str:

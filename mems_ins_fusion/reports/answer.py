@@ -6,7 +6,6 @@ import textwrap
 from dataclasses import dataclass, field
 
 from ..filter.measurements.registry import AIDING
-from ..recordings.checker import Finding
 from .html import Html, bullets, command, folded, paragraph
 
 GOOD, WARNING, BAD = 'good', 'warning', 'bad'
@@ -144,12 +143,6 @@ def _part(title: str, texts: list[str]) -> str:
     if not texts:
         return ''
     return f'<h3>{title}</h3>' + (bullets(texts) if len(texts) > 1 else paragraph(texts[0]))
-
-
-def checked_text(finding: Finding, topics: dict[str, str]) -> str:
-    """A finding of the checker with the topic it is about. topics: of `imu`, `gnss` and `temperature`."""
-    names = ' and '.join(topics.get(part) or part for part in finding.topic.split('/'))
-    return f'{names}: {finding.message}'
 
 
 def topics_of(values: dict) -> dict[str, str]:

@@ -6,7 +6,8 @@ import shlex
 
 from ..characterization.characterize import Characterization
 from ..recordings.checker import INFO, Finding
-from .answer import GOOD, WARNING, Answer, Step, checked_text
+from ..recordings.findings import checked_text
+from .answer import GOOD, WARNING, Answer, Step
 from .colours import MODEL_NAMES
 from .html import number
 

@@ -15,11 +15,12 @@ from ..diagnosis.tracing import Candidate
 from ..evaluation.verdict import Verdict
 from ..parameters.params_file import yaml_value
 from ..parameters.table import parameters_of
+from ..recordings.findings import checked_text
 from ..recordings.sketch import sketch
 from ..results import plain
 from . import diagnosis_figures as plots
 from . import html
-from .answer import Answer, checked_text, topics_of
+from .answer import Answer, topics_of
 from .charts import charts
 from .colours import MODEL_NAMES
 from .layers import diagnosed_truth, diagnosis_layers, middle
@@ -90,8 +91,9 @@ def _effect(finding: Finding) -> dict:
         'log_likelihood_gain': finding.gain,
         'p_value': finding.p,
         'added': finding.added,
-        'held_out_log_likelihood_gain': finding.held_out.gain,
-        'held_out_p_value': finding.held_out.p,
+        # what is seen is not fitted: errors prove it, and no likelihood
+        'held_out_log_likelihood_gain': None if finding.seen else finding.held_out.gain,
+        'held_out_p_value': None if finding.seen else finding.held_out.p,
         'reason': finding.reason,
         'changes': finding.changes,
         'outages_without_and_with_it': finding.saves and dict(
@@ -415,11 +417,14 @@ def _estimates(c: Candidate, d: Diagnosis) -> str:
 def _added(d: Diagnosis) -> html.Html:
     if not d.findings:
         return html.folded('What was found', 'No candidate is significant.')
-    rows = [(f.name, ', '.join(n for n in f.group if n != f.name), _sizes(f.parameters), f.gain,
-             f.held_out.gain, _p(f.held_out.p), f.added, f.reason) for f in d.findings]
+    rows = [(f.name, ', '.join(n for n in f.group if n != f.name), _sizes(f.parameters),
+             *((None,) * 3 if f.seen else (f.gain, f.held_out.gain, _p(f.held_out.p))), f.added,
+             f.reason) for f in d.findings]
     return html.folded(
         'What was found', 'Values of the last joint fit. The held-out gain is that of the log likelihood in blocks of '
-        'the recording that the effect was not fitted to; an effect without one is not added.',
+        'the recording that the effect was not fitted to; an effect without one is not added. What is not fitted '
+        '(without a gain) has another proof: errors that are smaller with it for certain, or that the filter finds it '
+        'itself in each drive.',
         html.table(('effect', 'cannot be told from', 'value', 'score gain', 'held-out gain', 'p held out', 'added',
                     'why not'), rows, digits=3))
 

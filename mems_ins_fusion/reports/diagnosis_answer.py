@@ -12,8 +12,8 @@ from ..evaluation.verdict import BETTER, CANNOT_TELL, NO, NOT_USABLE, SAME, WORS
 from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked
-from . import html
-from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, topics_of
+from ..recordings.findings import checked_text
+from .answer import BAD, GOOD, WARNING, Answer, Step, topics_of
 from .diagnosis import capital, changed, cost, rounded_value, this, unexplained_text
 from .effect_words import check, looks_the_same, size, what
 from .verdict import because, change_text, trust_text
@@ -39,15 +39,21 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, params_fil
                     for wanted in (True, False))
     tried = [tried_text(f) for f in d.findings if not f.added]
     left = [unexplained_text(d)] if d.unexplained else []
-    trust = d.trust
-    lacking = d.detections['after' if d.changed else 'before'].lacking
-    grade = BAD if trust.answer == NO and not d.better else WARNING if trust.answer == NO or lacking and not d.better \
-        else GOOD
+    lacking = bool(d.detections['after' if d.changed else 'before'].lacking)
     settings = [name for f in checked if f.severity != INFO for name in f.settings if name not in changed(d)]
-    return Answer(grade, headline(d.verdict, d.changed), [*out, *found, *to_set, *shown, *said], cost(d),
+    return Answer(_grade(d, lacking), headline(d.verdict, d.changed), [*out, *found, *to_set, *shown, *said], cost(d),
                   _steps(d, output, params_file, settings),
-                  trust_text(trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
+                  trust_text(d.trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
                   [*tried, *left, *d.remarks], because(d.verdict))
+
+
+def _grade(d: Diagnosis, lacking: bool) -> str:
+    """lacking: whether innovations show that something is wrong. A file that is changed without a proven gain is no
+    good news."""
+    untrue = d.trust.answer == NO
+    if d.better:
+        return WARNING if untrue else GOOD
+    return BAD if untrue else WARNING if lacking or d.changed else GOOD
 
 
 def not_usable(found: list[Checked], values: dict) -> tuple[Verdict, Answer]:
@@ -89,13 +95,15 @@ def _change(f: Finding, d: Diagnosis) -> str:
 
 
 def _saves(f: Finding) -> str:
-    """What it gains in metres, beside what was found before it."""
-    if f.saves is None:
+    """What it gains beside what was found before it: in metres it would stand beside other ones of other outages."""
+    if f.saves is None or not f.saves[1]:
         return ''
     duration, before, after = f.saves
-    one, other = (html.number(v, 2) for v in (before, after))
-    return (f' When it was added: {other} m instead of {one} m (mean of the largest error in {duration:g} s without '
-            'fixes).')
+    part = round(100 * (1 - after / before))
+    if not part:
+        return ''
+    return (f' When it was added, the error in {duration:g} s without fixes became {abs(part)} % '
+            f'{"smaller" if part > 0 else "larger"}.')
 
 
 def shown_text(detection: Detection) -> str:
@@ -160,7 +168,7 @@ def _steps(d: Diagnosis, output: str, params_file: str, settings: list[str]) -> 
     if settings and not d.better:
         steps.append(Step(f'Set {" and ".join(settings)} as configure writes {"them" if settings[1:] else "it"}, and '
                           'diagnose again.'))
-    elif not d.changed and d.verdict.answer == SAME and params_file != YOURS:
+    elif not d.changed and d.verdict.answer in (SAME, WORSE) and params_file != YOURS:
         steps.append(Step('Drive on with your parameters:', 'python -m mems_ins_fusion fusion_node --ros-args '
                           f'--params-file {shlex.quote(params_file)}'))
     elif not d.changed and d.verdict.answer == CANNOT_TELL and d.verdict.changes:

@@ -25,7 +25,7 @@ from ..parameters.params_file import yaml_value
 from ..parameters.table import FILTER
 from ..parameters.table import defaults as default_parameters
 from ..recordings.errors import collected_warnings
-from ..recordings.findings import ERROR, Finding
+from ..recordings.findings import ERROR, Finding, checked_text
 from ..recordings.reading import Memory, read_recording
 from ..recordings.reference_files import read_reference
 from ..recordings.several import free_name
@@ -33,7 +33,7 @@ from ..recordings.units import in_si
 from ..results import result_folder
 from ..samples import Recording
 from . import trajectories
-from .answer import Answer, checked_text, topics_of
+from .answer import Answer, topics_of
 from .replay_answer import answer, best_model
 from .replay_report import FIGURES, draw_figures, online_row, report, report_page, write_report
 

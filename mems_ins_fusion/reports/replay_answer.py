@@ -22,8 +22,9 @@ from ..evaluation.verdict import (
     trusted,
 )
 from ..recordings.checker import INFO, Finding
+from ..recordings.findings import checked_text
 from ..recordings.sketch import fitted_to
-from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, topics_of
+from .answer import BAD, GOOD, WARNING, Answer, Step, topics_of
 from .html import number
 from .replay_figures import model_name
 from .verdict import certainly_wrong, change_text, too_small_text, trust_text

@@ -12,11 +12,12 @@ from ..diagnosis.quantity import Quantity
 from ..evaluation.comparison import Comparison, outage_row, run_row
 from ..evaluation.verdict import NOT_USABLE, decide, trusted
 from ..parameters.table import defaults as default_parameters
+from ..recordings.findings import checked_text
 from ..recordings.sketch import fitted_to
 from ..results import json_text
 from . import html
 from . import replay_figures as drawings
-from .answer import Answer, checked_text, topics_of
+from .answer import Answer, topics_of
 from .charts import charts
 from .html import bullets, figure, folded, image_bytes, number, paragraph, section, table
 from .layers import middle, replay_layers

@@ -87,7 +87,7 @@ def verdict_json(verdict: Verdict, trust: Trust | None = None) -> dict:
     """For report.json."""
     return {'answer': verdict.answer, 'because': because(verdict),
             'fitted_to_this_recording': verdict.fitted_here,
-            'changes': [{'recording': c.where or None, 'duration_s': c.duration, 'count': c.count,
+            'changes': [{'recording': c.where or None, 'duration_s': c.duration, 'every_s': c.every, 'count': c.count,
                          'before_m': c.before, 'after_m': c.after, 'interval_m': c.interval(verdict.level)}
                         for c in verdict.changes]} | ({} if trust is None else {'trust': trust_json(trust)})
 

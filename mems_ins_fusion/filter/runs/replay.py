@@ -36,12 +36,13 @@ _NOTHING = np.empty((0, Event.SIZE))
 class Coasting:
     """Outages of one filter.
 
-    begin (o,): ns, IMU's clock; fixes later than this are withheld. first (o + 1,): outage i has the rows first[i] to
-    first[i + 1] of `run`, from the last sample kept at or before its begin. announced (o,): the trust horizon at the
-    begin, s (`horizon.py`).
+    begin (o,): ns, IMU's clock; fixes later than this are withheld. duration (o,): s, for how long. first (o + 1,):
+    outage i has the rows first[i] to first[i + 1] of `run`, from the last sample kept at or before its begin. announced
+    (o,): the trust horizon at the begin, s (`horizon.py`).
     """
 
     begin: np.ndarray
+    duration: np.ndarray
     first: np.ndarray
     run: Run
     announced: np.ndarray
@@ -80,13 +81,13 @@ def run_with_constraints(config: FilterConfig, imu: ImuSamples, fixes: Fixes, ai
                               samples[:, Sample.S:Sample.S + 3])
 
 
-def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin: np.ndarray, duration: float,
-                     aiding: Aiding = Aiding(), keep: np.ndarray | None = None,
+def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin: np.ndarray,
+                     duration: float | np.ndarray, aiding: Aiding = Aiding(), keep: np.ndarray | None = None,
                      start: Start | None = None) -> tuple[Run, Coasting]:
     """The ordinary run, and the runs in which all measurements from satellites after each `begin` are withheld.
 
-    begin: (o,) ns, ascending. duration: s, length of each outage, which may end with the recording. keep, start: as for
-    `run`. Outages that begin while the filter is not running are left out.
+    begin: (o,) ns, ascending. duration: s, length of all outages or of each (o,), which may end with the recording.
+    keep, start: as for `run`. Outages that begin while the filter is not running are left out.
     """
     work = Replay(config, imu, fixes, aiding, start, keep, np.asarray(begin, dtype=np.int64), duration)
     return work.run(), work.coasting()
@@ -95,11 +96,12 @@ def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin:
 @dataclass(frozen=True)
 class Stretch:
     """Kept states of the run between two restarts, or of one outage: indices of their samples, and the states. Of an
-    outage: its begin, ns, and the trust horizon then, s."""
+    outage: its begin, ns, its duration, s, and the trust horizon at the begin, s."""
 
     samples: np.ndarray
     states: np.ndarray
     begin: int = 0
+    duration: float = 0.0
     announced: float = np.nan
 
 
@@ -111,7 +113,8 @@ class Replay(Intake):
     """
 
     def __init__(self, config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding, given: Start | None,
-                 keep: np.ndarray | None, begin: Sequence[int] = (), duration: float = 0.0):
+                 keep: np.ndarray | None, begin: Sequence[int] = (),
+                 duration: float | np.ndarray = 0.0):
         super().__init__(config)
         self.imu, self.given = imu, given
         self.keep = np.ones(len(imu), dtype=bool) if keep is None else keep
@@ -241,10 +244,11 @@ class Replay(Intake):
         kept = np.flatnonzero(self.keep[index])
         states = np.empty((len(kept), len(self.columns)))
         time = samples[:, 0]
-        begin = [b for b in self.begin if len(kept) and time[kept[0]] <= (b - epoch) * 1e-9 <= time[-1]]
+        outages = [(b, d) for b, d in zip(self.begin, np.broadcast_to(self.duration, len(self.begin)).tolist())
+                   if len(kept) and time[kept[0]] <= (b - epoch) * 1e-9 <= time[-1]]
         withheld = np.isin(events.kind, self.withheld)
         forks = []
-        for b in begin:
+        for b, _ in outages:
             later = withheld & (events.record[:, Event.TIME] > (b - epoch) * 1e-9)
             forks.append(int(events.arrival[later].min()) if later.any() else len(samples))
         events.record[:, Event.ID] = np.arange(len(events.kind))
@@ -252,16 +256,17 @@ class Replay(Intake):
         branches, horizon, spare = {}, HorizonPredictor(self.config), np.zeros(len(memory))
         for i in np.argsort(forks, kind='stable'):
             work.advance(memory, forks[i])
-            since = (begin[i] - epoch) * 1e-9
-            branches[int(i)] = (*self._branch(memory, work, since, withheld, spare),
+            begin, duration = outages[i]
+            since = (begin - epoch) * 1e-9
+            branches[int(i)] = (*self._branch(memory, work, since, since + duration, withheld, spare),
                                 _announced(horizon, memory, since))
         if self.constrained is not None:
             self._keep_constraints(memory, work, index)
         work.advance(memory, len(samples))
         work.finish(memory)
-        for i, b in enumerate(begin):
+        for i, (begin, duration) in enumerate(outages):
             rows, coasted, announced = branches[i]
-            self.branches.append(Stretch(index[kept[rows]], coasted, b, announced))
+            self.branches.append(Stretch(index[kept[rows]], coasted, begin, duration, announced))
         self.stretches.append(Stretch(index[kept], states))
 
     def _keep_constraints(self, memory, work: Playback, index) -> None:
@@ -275,15 +280,15 @@ class Replay(Intake):
             applied = rows[:, Sample.CONSTRAINT] != 0.0
             self.constrained.append((index[begin:end][applied], rows[applied]))
 
-    def _branch(self, memory, work: Playback, begin: float, withheld, spare) -> tuple[slice, np.ndarray]:
-        """Run one outage from the present position of `work`. spare: room for a copy of the filter.
+    def _branch(self, memory, work: Playback, begin: float, end: float, withheld, spare) -> tuple[slice, np.ndarray]:
+        """Run one outage from the present position of `work`; begin, end: s. spare: room for a copy of the filter.
 
         Returns which of the kept states the outage covers, and these states, with one before its begin and one after
         its end, so that states in between can be interpolated.
         """
         time = work.samples[work.kept, 0]
         first = int(np.searchsorted(time, begin, side='right')) - 1
-        stop = min(int(np.searchsorted(time, begin + self.duration)) + 1, len(time))
+        stop = min(int(np.searchsorted(time, end)) + 1, len(time))
         coasted = np.empty((stop - first, len(self.columns)))
         done = min(max(work.next_row - first, 0), len(coasted))
         coasted[:done] = work.states[first:first + done]
@@ -330,7 +335,8 @@ class Replay(Intake):
     def coasting(self) -> Coasting:
         """The outages, after `run`."""
         first = np.concatenate([[0], np.cumsum([len(branch.samples) for branch in self.branches])]).astype(np.int64)
-        return Coasting(np.array([branch.begin for branch in self.branches], dtype=np.int64), first,
+        return Coasting(np.array([branch.begin for branch in self.branches], dtype=np.int64),
+                        np.array([branch.duration for branch in self.branches]), first,
                         self.result(self.branches), np.array([branch.announced for branch in self.branches]))
 
     def result(self, stretches: list[Stretch]) -> Run:

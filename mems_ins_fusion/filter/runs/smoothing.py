@@ -158,7 +158,8 @@ class _SmoothedOutages(_Smoothing):
                 self._take(coasting, rows.next())
             branch.advance(coasting, int(np.searchsorted(time, begin + self.duration + AFTER)))
             self.branches.append(Stretch(index[kept[first:stop]],
-                                          self._looked_back(coasting, rows, stop - first), int(b)))
+                                          self._looked_back(coasting, rows, stop - first), int(b),
+                                          self.duration))
 
 
 def _history(row: np.ndarray, layout: StateLayout) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

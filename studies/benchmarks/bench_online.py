@@ -1,12 +1,17 @@
 """What the diagnosis while driving costs the node: latency from a sample to its odometry, and processor time.
 
-    python studies/online_costs.py [--rates 100 400] [--seconds 60] [--output FILE.md]
+    python studies/benchmarks/bench_online.py [--rates 100 400] [--seconds 20] [--repeats 3] [--output FILE.md]
 
 A simulated drive is published to `fusion_node` in its own time, fixes once a second, after PRELUDE s of it in an eighth
 of the time, so that an analysis is running. With `diagnosis.online` off, `report`, and `apply` with a time offset of an
-earlier drive applied, so that a filter without it runs beside. Latency: from before an Imu is published to after its
-Odometry has come back to this process (median and 99 %, ms), by way of two processes and DDS. CPU: of the node and of
-its diagnosis (`diagnosis.share` 0.1), as a part of a core. Load: of the machine before each run, as it was found.
+earlier drive applied, so that a filter without it runs in parallel. These three run one after the other, repeatedly:
+other work on the machine disturbs all three, and the ratios to `off` of the same repeat say what the diagnosis costs.
+All numbers are medians of the repeats, but the last three.
+
+Latency: from before an Imu is published to after its Odometry has come back to this process (50 and 99 %, ms), by way
+of two processes and DDS. CPU: of the node and of its diagnosis, as a part of a core, while samples come in their own
+time. Most: the largest part of a core that the diagnosis had in any WINDOW s, its start included; `diagnosis.share` is
+0.1. Load: smallest and largest of the machine before the runs.
 """
 from __future__ import annotations
 
@@ -14,6 +19,7 @@ import argparse
 import json
 import os
 import signal
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -39,6 +45,10 @@ PRELUDE_RATE = 100.0
 #: s, by which fixes are late, which an earlier drive has found
 OFFSET = 0.05
 MODES = ('off', 'report', 'apply')
+#: s for which a node may be behind
+PATIENCE = 60.0
+#: s over which the largest part of a core is taken: many periods of `diagnosis.worker`, few ticks of the CPU time
+WINDOW = 5.0
 
 
 class Publisher:
@@ -77,6 +87,14 @@ class Publisher:
             message = _imu(imu, i)
             self.sent[message.header.stamp.sec, message.header.stamp.nanosec] = time.perf_counter()
             self.imu.publish(message)
+
+
+    def wait(self) -> None:
+        """Until what was published has come back: on a slow computer the node is behind."""
+        came, deadline = -1, time.perf_counter() + PATIENCE
+        while came < len(self.back) and time.perf_counter() < deadline:
+            came = len(self.back)
+            time.sleep(1.0)
 
 
 def _stamped(message, stamp: int):
@@ -123,8 +141,35 @@ def _descendants(pid: int) -> list[int]:
     return found
 
 
-def measured(recording, mode: str, seconds: float, rate: float, folder: Path) -> str:
-    """A line of the table."""
+class Share:
+    """CPU time of the processes of a node's diagnosis, looked at twice a second until `stop`."""
+
+    def __init__(self, pid: int):
+        self._pid, self._over = pid, threading.Event()
+        self._seen: list[tuple[float, float]] = []  # time and CPU time, s
+        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread.start()
+
+    def _look(self):
+        while not self._over.wait(0.5):
+            try:
+                self._seen.append((time.perf_counter(), _cpu(_descendants(self._pid))))
+            except OSError:  # one of them has just ended
+                continue
+
+    def stop(self) -> float:
+        """The largest part of a core in any WINDOW s."""
+        self._over.set()
+        self._thread.join()
+        clock, cpu = np.array(self._seen or [(0.0, 0.0)]).T
+        later = np.searchsorted(clock, clock + WINDOW)
+        inside = later < len(clock)
+        first, last = np.flatnonzero(inside), later[inside]
+        return float(np.max((cpu[last] - cpu[first]) / (clock[last] - clock[first]), initial=0.0))
+
+
+def measured(recording, mode: str, seconds: float, rate: float, folder: Path) -> dict[str, float]:
+    """One run of the node."""
     state = folder / 'state.json'
     place = {'stamp': 10**9, 'latitude': 0.8, 'longitude': 0.2, 'height': 0.0}
     kept = {'name': 'gnss_time_offset', 'set': {'gnss.time_offset': OFFSET}, 'found': 0,
@@ -135,48 +180,73 @@ def measured(recording, mode: str, seconds: float, rate: float, folder: Path) ->
     log = (folder / 'log').open('w')
     node = subprocess.Popen([sys.executable, '-m', 'mems_ins_fusion', 'fusion_node', '--ros-args', '-p',
                              f'diagnosis.online:={mode}', '-p', f'state_file:={state}'], stdout=log, stderr=log)
-    publisher = Publisher(recording)
+    publisher, share = Publisher(recording), Share(node.pid)
     try:
-        while 'ready: ' not in (folder / 'log').read_text() and node.poll() is None:
+        while 'ready: ' not in (folder / 'log').read_text():
+            if node.poll() is not None:
+                raise SystemExit((folder / 'log').read_text())
             time.sleep(0.2)
         publisher.publish(0.0, PRELUDE, FASTER, PRELUDE_RATE)
-        time.sleep(2.0)
+        publisher.wait()
         publisher.sent.clear()
         diagnosis = _descendants(node.pid)
         before = _cpu([node.pid]), _cpu(diagnosis)
         publisher.publish(PRELUDE, PRELUDE + seconds, 1.0, rate)
-        time.sleep(1.0)
-        cpu = (_cpu([node.pid]) - before[0]) / seconds, (_cpu(diagnosis) - before[1]) / seconds
+        node_cpu, diagnosis_cpu = _cpu([node.pid]) - before[0], _cpu(diagnosis) - before[1]
+        publisher.wait()
+        most = share.stop()
     finally:
         node.send_signal(signal.SIGINT)
         node.wait(30.0)
         publisher.close()
     late = np.array([publisher.back[key] - sent for key, sent in publisher.sent.items() if key in publisher.back])
-    median, most = 1e3 * np.percentile(late, [50, 99])
-    return (f'| {rate:g} Hz | {mode} | {len(publisher.sent)} | {len(publisher.sent) - len(late)} | {median:.2f} | '
-            f'{most:.1f} | {100 * cpu[0]:.0f} % | {100 * cpu[1]:.0f} % | {load:.1f} |')
+    if not len(late):
+        raise SystemExit('no odometry has come back: ' + (folder / 'log').read_text())
+    half, nearly_all = 1e3 * np.percentile(late, [50, 99])
+    return {'half': half, 'nearly all': nearly_all, 'node': node_cpu / seconds, 'diagnosis': diagnosis_cpu / seconds,
+            'most': most, 'lost': len(publisher.sent) - len(late), 'load': load}
+
+
+def row(rate: float, mode: str, runs: list[dict[str, float]], off: list[dict[str, float]]) -> str:
+    """A line of the table: `runs` of a mode beside those with `off` of the same repeats."""
+    def middle(name: str) -> float:
+        return statistics.median(run[name] for run in runs)
+
+    def times(name: str) -> str:
+        ratios = [run[name] / other[name] for run, other in zip(runs, off)]
+        return f'{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})'
+    loads = [run['load'] for run in runs]
+    cells = (f'{rate:g} Hz', mode, f"{middle('half'):.2f}", times('half'), f"{middle('nearly all'):.1f}",
+             times('nearly all'), f"{100 * middle('node'):.1f} %", times('node'), f"{100 * middle('diagnosis'):.1f} %",
+             f"{100 * max(run['most'] for run in runs):.1f} %", f"{sum(run['lost'] for run in runs):.0f}",
+             f'{min(loads):.1f} to {max(loads):.1f}')
+    return f"| {' | '.join(cells)} |"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--rates', type=float, nargs='+', default=[100.0, 400.0])
-    parser.add_argument('--seconds', type=float, default=60.0)
+    parser.add_argument('--seconds', type=float, default=20.0)
+    parser.add_argument('--repeats', type=int, default=3)
     parser.add_argument('--output', type=Path)
     options = parser.parse_args()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    os.environ.setdefault('ROS_DOMAIN_ID', '101')
     rclpy.init()
-    lines = ['| samples | `diagnosis.online` | sent | without odometry | latency 50 %, ms | 99 %, ms | node '
-             '| diagnosis | load |', f'|{"---|" * 9}']
-    print(*lines, sep='\n', flush=True)
+    lines = ['| samples | `diagnosis.online` | latency 50 %, ms | times `off` | 99 %, ms | times `off` | node '
+             '| times `off` | diagnosis | most | lost | load |', f'|{"---|" * 12}']
     for rate in options.rates:
         sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
         recording = simulate_recording(simulate_drive(PRELUDE + options.seconds + 2.0, 1, rate=rate, standstill=10.0),
                                        sensors, GnssNoise(0.5), seed=1).recording
-        for mode in MODES:
+        runs: dict[str, list[dict[str, float]]] = {mode: [] for mode in MODES}
+        for mode in MODES * options.repeats:
             with tempfile.TemporaryDirectory() as folder:
-                lines.append(measured(recording, mode, options.seconds, rate, Path(folder)))
-            print(lines[-1], flush=True)
+                runs[mode].append(measured(recording, mode, options.seconds, rate, Path(folder)))
+            print(f'{rate:g} Hz', mode, *(f'{name} {value:.4g}' for name, value in runs[mode][-1].items()), flush=True)
+        lines += [row(rate, mode, runs[mode], runs['off']) for mode in MODES]
     rclpy.shutdown()
+    print(*lines, sep='\n')
     if options.output:
         options.output.write_text('\n'.join(lines) + '\n')
 
