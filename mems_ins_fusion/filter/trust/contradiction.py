@@ -73,8 +73,14 @@ def raise_uncertainty(mem, r, n, error):
 
 
 @njit(_nrt=False)
-def recover_from_wrong_input(mem, r, n):
-    """The state at r has been misled by an input that is wrong for certain, and the innovations have been that
-    input's, not the accelerometers'. P is in the scratch."""
+def recover_from_wrong_input(mem, r, n, of_heading):
+    """The state at r has been misled by an input that is wrong for certain: its velocity is unknown, and its heading
+    where the input is one. The innovations have been that input's, not the accelerometers'. P is in the scratch."""
     reset_scale(mem, r + ForceNoise.SCALE)
-    raise_uncertainty(mem, r, n, math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]))
+    speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
+    if of_heading:
+        raise_uncertainty(mem, r, n, speed)
+        return
+    first = int(mem[Head.SCRATCH_AT]) + (n + 1) * velocity_state(mem)
+    for i in range(2):
+        mem[first + (n + 1) * i] += speed * speed
