@@ -15,7 +15,7 @@ from mems_ins_fusion.compiled import njit
 from ..memory import Head, Nav, velocity_state, yaw_state
 from . import hypotheses
 from .force_noise import ForceNoise
-from .scale import reset_scale
+from .scale import Inputs, reset_scale
 
 #: s over which the normalized innovation squared (NIS) of the lateral constraint is averaged: its errors last about as
 #: long
@@ -33,6 +33,8 @@ SMALLEST_SLIDE_NIS = 0.2
 #: s for which the IMU is not used after a slide. Faults of an IMU that are no defect last for seconds; a slide that
 #: goes on begins it again. Chosen: 5 s let a car with much sideslip go 100 m off, 20 s cost more with rare fixes
 EXCLUDED_TIME = 10.0
+#: s since the last fix above which the IMU is used all the same: a fix each ten seconds still counts
+LONGEST_WITHOUT_FIX = 10.0
 #: m/s, speed below which a slide tells no more of the heading than at it: the ratio of the two would be without bound
 SLOWEST_SPEED = 1.0
 
@@ -55,6 +57,8 @@ def exclude_imu(mem, r, n, innovation):
     """The IMU is not used for EXCLUDED_TIME after a slide of `innovation`, m/s."""
     raise_uncertainty(mem, r, n, innovation)
     time, until = mem[r + Nav.TIME], mem[r + Nav.EXCLUDED_UNTIL]
+    if mem[Inputs.COUNT] > 0.0 or time - mem[r + Nav.FIX_TIME] > LONGEST_WITHOUT_FIX:
+        return  # it may be another input that is wrong, and without fixes nothing but the IMU tells of turns
     if time >= until:
         hypotheses.add_prior(mem, r, hypotheses.IMU_FAULT_PRIOR)
     mem[r + Nav.EXCLUDED_UNTIL] = time + EXCLUDED_TIME
