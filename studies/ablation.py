@@ -91,6 +91,7 @@ NEVER = {
     'errors that last, always': {'trust.receiver.LASTING_SHARE': 0.0},
     'acceleration unseen between fixes': {'trust.receiver.UNSEEN_ACCELERATION': 0.0},
     'slides': {'trust.contradiction.SLIDE_RATIO': 1e9},
+    'state loosened after a slide': {'trust.contradiction.INFLATED_NIS': 1e9},
     'a second filter that takes fixes for wrong': {'trust.hypotheses.LOST_NATS': -1e9},
     'receivers that go straight on': {'trust.extrapolation.FEWEST_FIXES': 1e9},
     'IMU doubted after diverging': {'trust.imu_faults.CONTRADICTED_TIME': 0.0},

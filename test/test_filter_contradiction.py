@@ -31,12 +31,13 @@ from mems_ins_fusion.filter.memory import (
 from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, odometry, published_covariance
 from mems_ins_fusion.filter.runs.vehicle_check import vehicle_warnings
 from mems_ins_fusion.filter.trust.contradiction import (
-    EXCLUDED_TIME,
-    exclude_imu,
+    INFLATED_NIS,
+    USE_ALL_TIME,
+    inflate_to_fit,
+    raise_uncertainty,
     slides,
 )
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis, spread
-from mems_ins_fusion.filter.trust.imu_faults import is_contradicted
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.navigation.strapdown import to_euler
 
@@ -86,7 +87,7 @@ def test_after_a_slide_velocity_and_heading_are_as_uncertain_as_it_is_large(mech
     before = random_covariance(n, np.random.default_rng(3))
     memory[p:p + n * n] = before.ravel()
     # when the vehicle slides by 1.5 m/s at 10 m/s
-    exclude_imu(memory, r, n, 1.5)
+    raise_uncertainty(memory, r, n, 1.5, STEP)
     added = memory[p:p + n * n].reshape(n, n) - before
     # then by its square: of velocities, and of the angle whose sine it is at that speed
     expected = np.zeros(n)
@@ -94,11 +95,44 @@ def test_after_a_slide_velocity_and_heading_are_as_uncertain_as_it_is_large(mech
     expected[[names.index('v_n'), names.index('v_e')]] = 1.5**2
     expected[names.index('yaw' if mechanization == 'planar' else 'phi_d')] = 0.15**2
     np.testing.assert_allclose(added, np.diag(expected), atol=1e-12)
-    assert memory[r + Nav.EXCLUDED] == EXCLUDED_TIME
-    # and the IMU is not used for some seconds
-    time = memory[r + Nav.TIME]
-    assert is_contradicted(memory, r, time) and is_contradicted(memory, r, time + EXCLUDED_TIME - STEP)
-    assert not is_contradicted(memory, r, time + EXCLUDED_TIME + STEP)
+    assert memory[r + Nav.USE_ALL_FIXES] == USE_ALL_TIME and memory[r + Nav.SLID] == STEP
+
+
+@BOTH
+def test_a_loosened_state_fits_a_fix_that_contradicts_it(mechanization):
+    config, memory, r = a_state(mechanization)
+    n, p, first = config.layout.n, int(memory[Head.SCRATCH_AT]), config.layout.n_navigation
+    before = random_covariance(n, np.random.default_rng(4))
+    memory[p:p + n * n] = before.ravel()
+    # given an exact fix that is off by a normalized innovation of 50
+    z = np.array([3.0, 4.0])
+    z *= math.sqrt(50.0 / (z @ np.linalg.solve(before[:2, :2], z)))
+    assert inflate_to_fit(memory, r, n, 50.0)
+    after = memory[p:p + n * n].reshape(n, n)
+    # then it fits as well as it has to, the sensor errors are as they were, and it is a covariance
+    assert z @ np.linalg.solve(after[:2, :2], z) == pytest.approx(INFLATED_NIS)
+    np.testing.assert_array_equal(after[first:, first:], before[first:, first:])
+    np.testing.assert_allclose(after, after.T)
+    assert np.linalg.eigvalsh(after).min() > 0.0
+
+
+@BOTH
+def test_a_velocity_is_not_wrong_by_more_than_itself_and_the_fix_then_an_outlier(mechanization):
+    # given a vehicle at 10 m/s whose velocity is known to 1 m/s, and a fix with a normalized innovation of 1e6
+    config, memory, r = a_state(mechanization)
+    n, p, first = config.layout.n, int(memory[Head.SCRATCH_AT]), config.layout.names.index('v_n')
+    memory[p:p + n * n] = np.eye(n).ravel()
+    fits = inflate_to_fit(memory, r, n, 1e6)
+    # then the velocity is uncertain by 10 m/s, and the fix does not fit
+    assert not fits and memory[p + (n + 1) * first] == pytest.approx(100.0)
+
+
+@BOTH
+def test_one_that_fits_loosens_nothing(mechanization):
+    config, memory, r = a_state(mechanization)
+    before = memory.copy()
+    inflate_to_fit(memory, r, config.layout.n, 0.99 * INFLATED_NIS)
+    np.testing.assert_array_equal(memory, before)
 
 
 @BOTH
@@ -160,7 +194,7 @@ class Drive:
 @BOTH
 def test_nothing_is_open_where_all_is_right(mechanization):
     config, memory, error, sigma, records = Drive().through(mechanization)
-    assert newest(memory)[Nav.EXCLUDED] == 0.0
+    assert newest(memory)[Nav.SLID] == 0.0
     assert np.hypot(*sigma.T).max() < 0.5 and np.hypot(*error.T).max() < 2.0
     assert not any('sideways' in text for text in vehicle_warnings(memory, config, records))
 
@@ -171,7 +205,7 @@ def test_a_gyroscope_that_turns_away_is_seen_and_said():
     drive.samples[1500:2000, 6] += math.radians(5.0)
     config, memory, error, _, records = drive.through('planar')
     # then the fixes decide: by the IMU and the constraint it would be v w t^2 / 2 = 44 m off
-    assert newest(memory)[Nav.EXCLUDED] > 1.0
+    assert newest(memory)[Nav.SLID] > 1.0
     assert np.hypot(*error.T).max() < 6.0 and np.hypot(*error[-500:].T).max() < 2.0
     assert any('sideways' in text for text in vehicle_warnings(memory, config, records))
 
@@ -183,9 +217,9 @@ def test_how_long_an_imu_was_contradicted_is_counted_once_whatever_comes_late():
         drive = Drive()
         drive.samples[1500:2000, 6] += math.radians(5.0)
         _, memory, *_ = drive.through('planar', late)
-        counted.append(newest(memory)[Nav.EXCLUDED])
-    # then it is the time that it was not used for
-    assert 10.0 <= counted[0] < 30.0 and counted[1] == pytest.approx(counted[0], rel=0.2)
+        counted.append(newest(memory)[Nav.SLID])
+    # then it is the time that it was so
+    assert 1.0 < counted[0] and counted[1] == pytest.approx(counted[0], rel=0.2)
 
 
 def test_where_each_fix_is_believed_nothing_is_decided_against_the_imu():
@@ -194,7 +228,7 @@ def test_where_each_fix_is_believed_nothing_is_decided_against_the_imu():
     drive.samples[1500:2000, 6] += math.radians(5.0)
     _, memory, *_ = drive.through('planar', **{'gnss.gate_probability': 1.0, 'gnss.robust_sigma': 0.0})
     # then the misfit stays in what it measures: what adapted to it would hide its cause
-    assert newest(memory)[Nav.EXCLUDED] == 0.0
+    assert newest(memory)[Nav.SLID] == 0.0
 
 
 def as_quiet_as_at_rest(mechanization, seconds, off, velocity=(0.0, 0.0, 0.0)):

@@ -17,14 +17,24 @@ from .measurements import (
 from .measurements.geometry import body_to_level
 from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, row_of
 from .prediction import set_radii
-from .trust import displacement, extrapolation, fix_drift, hypotheses, inputs, new_start, receiver, repeats
+from .trust import (
+    contradiction,
+    displacement,
+    extrapolation,
+    fix_drift,
+    hypotheses,
+    inputs,
+    new_start,
+    receiver,
+    repeats,
+)
 from .trust.drift import learn_drift
 from .trust.fix_drift import FixDrift
 from .trust.hypotheses import Hypothesis
 from .trust.receiver import Receiver
 from .trust.scale import seen_of
 from .trust.standstill import note_speed
-from .update import ROBUST, begin_update, end_update, product, project, update
+from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
 
 #: number of fixes. Up to this many refused in a row are taken for outliers: they are not used as the end of a
 #: displacement with which an input is compared (`trust/displacement.py`). After more of them the filter may be the one
@@ -79,6 +89,9 @@ def _apply_fix(mem, r, at):
     if not _uses_fix(mem, r, at, n, factor):
         hypotheses.refuse_fix(mem, r, at)
         return
+    if mem[r + Nav.USE_ALL_FIXES] > 0.0:
+        if contradiction.inflate_to_fit(mem, r, n, _misfit(mem, r, at, n, factor)):
+            robust = gate = 0.0
     # a height that is far off is no sign that the filter is wrong: in a car it changes slowly
     verdict = update(mem, r, at, n, dimensions, factor, 1.0, robust, gate, mem[Head.ROBUST_SIGMA])
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
@@ -179,6 +192,17 @@ def _uses_fix(mem, r, at, n, factor):
     s_ne = r_ne + product(mem, n, h + n, column)
     s_ee = r_ee + project(mem, n, h + n, column)
     return hypotheses.score_fix(mem, r, at, s_nn, s_ne, s_ee, 0.5 * (r_nn + r_ee), receiver.innovation_factor(mem, r))
+
+
+@njit(_nrt=False)
+def _misfit(mem, r, at, n, factor):
+    """Normalized innovation squared of the fix at `at` before its correction, as if the lever arm had no effect on S.
+    """
+    p = int(mem[Head.SCRATCH_AT])
+    a, b = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
+    s_nn, s_ne = mem[p] + factor * mem[at + Event.R_NN], mem[p + 1] + factor * mem[at + Event.R_NE]
+    s_ee = mem[p + n + 1] + factor * mem[at + Event.R_EE]
+    return normalized_square(a, b, s_nn, s_ne, s_ee)
 
 
 @njit(_nrt=False)

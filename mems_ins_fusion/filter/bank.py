@@ -182,7 +182,7 @@ def _is_better(memory, other, r):
     if other[r + Hypothesis.FIXES_WRONG] == 0.0:
         return ahead > (SWITCH_NATS if memory[r + Hypothesis.FIXES_WRONG] == 0.0 else 0.0)
     return (ahead > SERIOUS_NATS and memory[r + Hypothesis.FIXES_WRONG] == 0.0
-            and memory[r + Nav.TIME] > memory[r + Nav.EXCLUDED_UNTIL] and fix_drift.are_followed(memory, r)
+            and memory[r + Nav.USE_ALL_FIXES] == 0.0 and fix_drift.are_followed(memory, r)
             and hypotheses.is_drifting(other, r))
 
 

@@ -151,7 +151,7 @@ def _constrain_motion(mem, r, at, n, h, dimensions, since):
         nis = innovation * innovation / s
         # without a gate every fix is used anyway, so a slide need not decide between the fixes and the IMU
         if k == 0 and mem[Head.GATE] > 0.0 and contradiction.slides(mem, r, innovation, s, since):
-            contradiction.exclude_imu(mem, r, n, innovation)
+            contradiction.raise_uncertainty(mem, r, n, innovation, since)
             s = variance + project(mem, n, h + n * k, column)
             nis = innovation * innovation / s
         mem[at + Event.Z_N + k] = innovation

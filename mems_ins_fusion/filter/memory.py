@@ -78,10 +78,10 @@ class _Nav(NamedTuple):
     # whether the fixes or the IMU are wrong, see trust/contradiction.py
     SLIDING_NIS: int = column()  # NIS of the lateral constraint, mean of the last second
     USUAL_SLIDING_NIS: int = column()  # the same NIS, long-term mean: what is usual for this vehicle
-    EXCLUDED_UNTIL: int = column()  # s: until this time the IMU is not used
+    USE_ALL_FIXES: int = column()  # s for which fixes are still used whatever their innovations
     # counts for messages to the user
     SIDEWAYS: int = column()  # s during which the vehicle violated the non-holonomic constraint
-    EXCLUDED: int = column()  # s for which the IMU was not used after the constraint had contradicted it
+    SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
     RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
     RECOVERIES: int = column()  # restarts from fixes that had been refused
     MECHANISMS: int = column(176)  # room for the columns that other files declare (`ROW`)

@@ -216,7 +216,7 @@ class FilterStatus(Intake):
                    'realised over assumed drift of the gyroscopes': math.sqrt(row[Drift.RATIO + 1]),
                    'shown over assumed noise of the accelerometers': math.sqrt(white_noise.shown(memory, sample, 0)),
                    'shown over assumed noise of the gyroscopes': math.sqrt(white_noise.shown(memory, sample, 3)),
-                   'contradicted by the constraint, s': float(row[Nav.EXCLUDED])}
+                   'contradicted by the constraint, s': float(row[Nav.SLID])}
         values |= wheel_vibration.diagnostics(memory, memory[sample + Sample.TIME])
         for i, name in enumerate(layout.names[layout.n_navigation:], start=layout.n_navigation):
             values[name] = float(row[NAV + i])

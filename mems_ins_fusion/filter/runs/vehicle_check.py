@@ -31,6 +31,8 @@ LATE = 0.05
 LATE_SIGMAS = 4.0
 #: s of sideways motion in total above which the vehicle has no wheels, or turns on the spot. Chosen, not measured
 LONGEST_SIDEWAYS = 5.0
+#: s above which a contradiction by the lateral constraint (`Nav.SLID`) is reported. Chosen, not measured
+LONGEST_UNSETTLED = 0.5
 #: s in total of far more noise than configured (`White.SHAKEN`) above which it is reported. Chosen, not measured
 LONGEST_SHAKEN = 60.0
 #: number of refused fixes in a row that show a boat if they move on while the IMU shows a standstill. The fixes of a
@@ -59,14 +61,14 @@ def vehicle_warnings(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray
         if fastest > FASTEST_BACKWARDS:
             texts.append(f'{topic}: the vehicle seems to go backwards at {fastest:.1f} m/s: if it does not, the IMU is '
                          'mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
-    sideways, excluded = float(row[Nav.SIDEWAYS]), float(row[Nav.EXCLUDED])
+    sideways, slid = float(row[Nav.SIDEWAYS]), float(row[Nav.SLID])
     if sideways > LONGEST_SIDEWAYS:
         texts.append(f'the vehicle went sideways for {sideways:.0f} s, against vehicle.non_holonomic, '
                      'which was not used then: a boat needs config/boat.yaml, a robot that turns on the spot '
                      'config/robot.yaml')
-    if excluded > 0.0:
-        texts.append(f'{topic}: it showed a sideways motion that is unusual for this vehicle: the vehicle slid, or the '
-                     f'IMU was wrong. It was not used for {excluded:.0f} s')
+    if slid > LONGEST_UNSETTLED:
+        texts.append(f'{topic}: for {slid:.1f} s it showed a sideways motion that is unusual for this vehicle: the '
+                     'vehicle slid, or the IMU was wrong. In that time every fix was used')
     if memory[White.SHAKEN] > LONGEST_SHAKEN:
         texts.append(f'{topic}: for minutes the noise of the gyroscopes is more than {NOTEWORTHY:g} times '
                      'gyroscope.noise_density: the vehicle vibrates faster than the IMU samples. The filter uses the '

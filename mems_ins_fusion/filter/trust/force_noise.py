@@ -48,8 +48,8 @@ def learn_force_noise(mem, r, time, squared, white, p, tau, lasting, weight):
     fix, m^2. tau: s, within which the filter follows fixes. lasting: variance of the receiver's errors that last, m^2,
     as far as it claims them. weight: of this fix, as several tell the same.
     """
-    if mem[DriftSettings.LEARNED] == 0.0 or mem[r + Nav.BRIDGED] > 0.0 or p <= 0.0:
-        return  # also where the IMU is not used
+    if mem[DriftSettings.LEARNED] == 0.0 or mem[r + Nav.BRIDGED] > 0.0 or mem[r + Nav.USE_ALL_FIXES] > 0.0 or p <= 0.0:
+        return  # also where the IMU is not used, or known to be wrong
     part = ASSUMED * tau**3 / 3.0
     known = min(math.exp(mem[r + ForceNoise.SCALE + Scale.LOG]) * part, MOST_OF_P * p)  # of it is in S already
     rest = max(white - known, LEAST_WHITE * white) + lasting

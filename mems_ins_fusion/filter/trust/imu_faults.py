@@ -76,11 +76,9 @@ CONTRADICTED_TIME = 60.0
 
 @njit(_nrt=False)
 def is_contradicted(mem, r, time):
-    """Whether what fixes and the lateral constraint have shown till the state at r speaks against the IMU at `time`, s.
-    """
+    """Whether what the fixes have shown till the state at r speaks against the IMU at `time`."""
     lasts = CONTRADICTED_TIME * 2.0 ** (mem[r + Nav.DIVERGENCES] - 1.0)
-    diverged = mem[r + Nav.DIVERGENCES] >= 1.0 and time - mem[r + Nav.DIVERGENCE_TIME] < lasts
-    return diverged or time < mem[r + Nav.EXCLUDED_UNTIL]
+    return mem[r + Nav.DIVERGENCES] >= 1.0 and time - mem[r + Nav.DIVERGENCE_TIME] < lasts
 
 
 @njit(_nrt=False)

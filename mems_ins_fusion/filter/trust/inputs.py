@@ -82,7 +82,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
     of_velocity = is_of_velocity(kind)
     if _has_wrong_displacement(mem, r, at, n):
         if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
-            contradiction.recover_from_wrong_input(mem, r, n, is_of_heading(kind))
+            contradiction.use_all_fixes(mem, r)
         mem[own + Seen.FITTED] = -time
     if is_contradicted(mem, r, at):
         return 1.0, 1.0, REFUSE_ALL
