@@ -102,7 +102,7 @@ def test_after_a_slide_velocity_and_heading_are_as_uncertain_as_it_is_large(mech
 def test_a_loosened_state_fits_a_fix_that_contradicts_it(mechanization):
     config, memory, r = a_state(mechanization)
     n, p, first = config.layout.n, int(memory[Head.SCRATCH_AT]), config.layout.n_navigation
-    before = random_covariance(n, np.random.default_rng(4))
+    before = 0.01 * random_covariance(n, np.random.default_rng(4))
     memory[p:p + n * n] = before.ravel()
     # given an exact fix that is off by a normalized innovation of 50
     z = np.array([3.0, 4.0])
@@ -150,7 +150,7 @@ def test_what_is_published_holds_both_hypotheses(mechanization):
     np.testing.assert_allclose(added, expected, atol=1e-12)
     # and ROS is told the same
     out, enu = np.zeros(SIZE), np.zeros(9)
-    odometry(memory, np.array([LATITUDE, LONGITUDE, 0.0]), 2.0, out, np.zeros(3), enu)
+    odometry(memory, np.array([LATITUDE, LONGITUDE, 0.0]), 2.0, 0.0, out, np.zeros(3), enu)
     pose = out[POSE_COVARIANCE:POSE_COVARIANCE + 36].reshape(6, 6)
     full = published_covariance(row, config.layout)
     np.testing.assert_allclose(pose[:2, :2], [[full[1, 1], full[0, 1]], [full[0, 1], full[0, 0]]])

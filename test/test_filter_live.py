@@ -300,7 +300,7 @@ def test_open_loop_is_closed_loop_to_first_order(drive, mechanization):
     # given good sensors, so that the errors that the open loop lets grow stay small
     values = {'accelerometer.initial_sigma': [0.01], 'gyroscope.initial_sigma': [1e-4],
               'accelerometer.gauss_markov.sigma': [0.005], 'gyroscope.gauss_markov.sigma': [3e-5],
-              'accelerometer.noise_density': [0.002], 'gyroscope.noise_density': [3e-5],
+              'accelerometer.noise_density': [0.002], 'gyroscope.noise_density': [3e-5], 'gyroscope.scale_sigma': 0.0,
               'alignment.heading': 'parameter', 'alignment.yaw': float(np.angle(np.exp(1j * drive.yaw[0]))),
               'alignment.yaw_sigma': 0.01, 'mechanization': mechanization}
     config = configure(values)

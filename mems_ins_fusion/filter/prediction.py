@@ -467,10 +467,12 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         _store(mem, g + 9 * j, _strapdown_column(mem, transition, q, 1, k, 9 * p), 0)
     h = 0.5 * dt
     more = force_noise(mem, src)
+    gyroscopes = nonnegative(src + x + 3 * p)  # their estimated errors, which w contains in open loop
     for axis in range(3):
         k, q = nonnegative(dst + b + 9 * p * axis), nonnegative(u + 9 * axis)
         white_f = density(mem, sample, axis) + more
-        white_w = density(mem, sample, 3 + axis) + mem[Turns.NOISE] * w[axis] * w[axis]
+        rate = mem[sample + Sample.W_X + axis] - mem[gyroscopes + p * axis]
+        white_w = density(mem, sample, 3 + axis) + mem[Turns.NOISE] * rate * rate
         x, y, z = strapdown.column(c, axis)
         turned = h * (y * f_level[2] - z * f_level[1]), h * (z * f_level[0] - x * f_level[2]), h * (
             x * f_level[1] - y * f_level[0])
