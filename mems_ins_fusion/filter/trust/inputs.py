@@ -40,8 +40,8 @@ FIELD_CORRELATION = 10.0
 #: s for which a speed that has fitted and then is far off is one of wheels that slip, without fixes, too; what lasts
 #: for longer may be right, and the state wrong
 LONGEST_SLIP = 5.0
-#: s for which a speed has to be far off before it is no part of the displacement between fixes: a single one is none,
-#: and displacements that begin anew all the time never show that wheels turn by a tenth too fast
+#: s for which a speed has not to fit until it is no part of the displacement between fixes, and has to fit before it
+#: is used: a single one is no displacement, and displacements that begin anew all the time show no factor
 SHORTEST_SLIP = 0.25
 #: multiple of the claimed variance that counts as noise where GATE is judged, however large it has been seen to be:
 #: three times the sigma, as the prior of a scale has it. More is slip or another fault, and makes none fit
@@ -115,7 +115,10 @@ def factor_and_limits(mem, r, at, n, dimensions):
     far_off = has_displacement(kind) and squared > far**2 * (variance + noise)
     fitted = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < (
         LONGEST_SLIP if of_velocity else LONGEST_JUMP)
-    slips = fitted and far_off  # so soon no IMU is wrong by as much
+    # one that has begun to slip has to fit before it is used: the state without it becomes less certain
+    lasts = of_velocity and fitted and time - mem[own + Seen.FITTED] > max(SHORTEST_SLIP, 1.5 * since)
+    # so soon no IMU is wrong by as much
+    slips = fitted and (far_off or lasts and squared > ROBUST**2 * (variance + noise))
     if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance):
         squared, variance = _innovation(mem, r, at, n, dimensions)
         far_off = squared > far**2 * (variance + noise)
@@ -139,7 +142,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
         if other:  # no slip lasts for so long
             mem[own + Seen.FITTED] = 0.0
             displacement.forget(mem, own)
-        elif slips and of_velocity and kind != Kind.VELOCITY and time - mem[own + Seen.FITTED] > SHORTEST_SLIP:
+        elif lasts and far_off and kind != Kind.VELOCITY:
             displacement.interrupt(mem, own)
         if slips or other:
             return factor, density, REFUSE_ALL
