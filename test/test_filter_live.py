@@ -255,6 +255,10 @@ def test_an_arm_that_is_not_known_is_in_the_published_covariance_of_the_position
     assert unknown.position_covariance_enu - known.position_covariance_enu == pytest.approx(
         np.diag([0.16, 0.16, 0.0]).ravel(), abs=1e-12)
     assert known.odometry[TWIST_COVARIANCE] > 0.0 and known.odometry[POSE_COVARIANCE] > 0.0
+    # and so has the covariance of a replay
+    exact, inexact = (run(fusion.config, imu, fixes) for fusion in (known, unknown))
+    assert inexact.sigma[:, :2] ** 2 - exact.sigma[:, :2] ** 2 == pytest.approx(np.full((len(exact.sigma), 2), 0.16))
+    assert np.array_equal(inexact.sigma[:, 3:], exact.sigma[:, 3:])
 
 
 def test_a_recording_without_trouble_is_the_same_too(drive):

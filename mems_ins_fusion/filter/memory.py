@@ -74,7 +74,8 @@ class _Nav(NamedTuple):
     LONG_PASSED: int = column(3)  # low-passed whitened innovations of the fixes, and their variance were they white
     VARIANCE_FACTOR: int = column()  # realised over expected variance of these innovations; below 1 it counts as 1
     CLAIM_LEVEL: int = column()  # mean logarithm of the claimed variance, m^2
-    LASTING: int = column()  # variance of the receiver's slow errors, m^2, which the estimated position contains
+    LASTING: int = column()  # variance of the receiver's slow errors, m^2, which the estimated position contains,
+    ARM_VARIANCE: int = column()  # and of the lever arm of the antenna, forward and right each, m^2, as it does
     # whether the fixes or the IMU are wrong, see trust/contradiction.py
     SLIDING_NIS: int = column()  # NIS of the lateral constraint, mean of the last second
     USUAL_SLIDING_NIS: int = column()  # the same NIS, long-term mean: what is usual for this vehicle

@@ -361,8 +361,8 @@ class FusionFilter(FilterStatus):
 
     def update_odometry(self) -> int:
         """Write the newest estimate to `odometry`, `geodetic` and `position_covariance_enu`; returns its stamp, ns."""
-        odometry(self._estimating, self.datum, self._height_sigma, self.config.gnss.lever_arm_sigma, self.odometry,
-                 self.geodetic, self.position_covariance_enu)
+        odometry(self._estimating, self.datum, self._height_sigma, self.odometry, self.geodetic,
+                 self.position_covariance_enu)
         if self._memory is None:
             widen_without_heading(self._without_heading, self.datum, self.odometry, self.geodetic,
                                   self.position_covariance_enu)
@@ -381,7 +381,7 @@ class FusionFilter(FilterStatus):
                    self._log)
         kernel.find_event(memory, 0)
         filled = self.odometry.copy(), self.geodetic.copy(), self.position_covariance_enu.copy()
-        odometry(memory, datum, 1.0, 0.0, *filled)
+        odometry(memory, datum, 1.0, *filled)
         widen_without_heading(start, datum, *filled)
         self._memory, before = memory, self._memory
         self.health()

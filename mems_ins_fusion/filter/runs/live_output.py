@@ -106,8 +106,7 @@ class _Publishing(Replay):
         sigma = np.append(sigma, self.height_sigma)  # -1, none yet, is the one before
         for i, k in enumerate(kept.tolist()):
             work.advance(memory, k + 1)
-            odometry(memory, self.datum, sigma[latest[i]], self.config.gnss.lever_arm_sigma, rows[i], geodetic,
-                     covariance)
+            odometry(memory, self.datum, sigma[latest[i]], rows[i], geodetic, covariance)
             if without_heading is not None:
                 widen_without_heading(without_heading, self.datum, rows[i], geodetic, covariance)
         self.published.append((index[kept], rows))

@@ -70,11 +70,11 @@ def corrected(row, r, rows, open_loop):
 def added_covariance(row, r, i, j):
     """Term that is added to P in the published covariance of the state at row[r]: element (i, j) of r_n, r_e, v_n, v_e.
 
-    It contains the slow errors of the receiver (trust/receiver.py) and the difference to the second filter
-    (trust/hypotheses.py).
+    It contains the slow errors of the receiver (trust/receiver.py), what the lever arm may be off
+    (`gnss.lever_arm_sigma`), and the difference to the second filter (trust/hypotheses.py).
     """
     apart = spread(row, r)
-    lasting = row[r + Nav.LASTING] if i == j and i < 2 else 0.0
+    lasting = row[r + Nav.LASTING] + row[r + Nav.ARM_VARIANCE] if i == j and i < 2 else 0.0
     return lasting + apart[i] * apart[j]
 
 
@@ -109,12 +109,11 @@ def widen_without_heading(start, datum, out: np.ndarray, geodetic: np.ndarray, g
 
 
 @njit
-def odometry(memory, datum, height_sigma, arm_sigma, out, geodetic, geodetic_covariance):
+def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     """The newest state as odometry.
 
     datum: (3,) latitude, longitude (rad), height. height_sigma: m, used with the planar mechanization, which does not
-    estimate the height. arm_sigma: m, of the way from the antenna, whose position the fixes show, to the IMU, whose is
-    published.
+    estimate the height.
     Outputs: out (SIZE,): position ENU; orientation x, y, z, w of base_link (FLU) in ENU; pose covariance 6 x 6; linear
     and angular velocity in base_link; twist covariance 6 x 6. geodetic (3,), geodetic_covariance (9,) ENU. Returns the
     time of the state, s.
@@ -148,8 +147,6 @@ def odometry(memory, datum, height_sigma, arm_sigma, out, geodetic, geodetic_cov
             column = row_of(memory, j)
             if column >= 0:
                 nine[9 * i + j] = memory[full + n * row + column]
-        if i == Error.R_N or i == Error.R_E:
-            nine[10 * i] += arm_sigma**2
     for i in range(6):
         for j in range(6):
             a, sign_a = _enu(i)

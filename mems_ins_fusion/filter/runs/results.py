@@ -18,7 +18,7 @@ from .odometry import added_covariance, corrected, estimated
 
 #: columns kept in addition to solution and covariance: to convert angles to metres and P to the published covariance,
 #: and the lag of a receiver that smooths
-_SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.LASTING, Nav.FIX_TIME,
+_SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.LASTING, Nav.ARM_VARIANCE, Nav.FIX_TIME,
            *range(Hypothesis.SPREAD, Hypothesis.SPREAD + 4), Lag.UNFOLLOWED, Lag.UNFOLLOWED + 1)
 
 

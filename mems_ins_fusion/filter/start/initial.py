@@ -47,6 +47,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     row[Nav.V_N], row[Nav.V_E] = start.velocity
     row[Nav.USUAL_SLIDING_NIS] = FIRST_USUAL
     row[Nav.VARIANCE_FACTOR] = 1.0
+    row[Nav.ARM_VARIANCE] = config.gnss.lever_arm_sigma**2
     ROW.begin(row)
     row[Receiver.SCALE:Receiver.SCALE + Scale.CHANGING_SIZE] = start.gnss_scale
     full = np.zeros((layout.n, layout.n))
