@@ -150,24 +150,26 @@ def test_what_is_published_holds_both_hypotheses(mechanization):
     np.testing.assert_allclose(added, expected, atol=1e-12)
     # and ROS is told the same
     out, enu = np.zeros(SIZE), np.zeros(9)
-    odometry(memory, np.array([LATITUDE, LONGITUDE, 0.0]), 2.0, 0.0, out, np.zeros(3), enu)
+    odometry(memory, np.array([LATITUDE, LONGITUDE, 0.0]), 2.0, out, np.zeros(3), enu)
     pose = out[POSE_COVARIANCE:POSE_COVARIANCE + 36].reshape(6, 6)
     full = published_covariance(row, config.layout)
     np.testing.assert_allclose(pose[:2, :2], [[full[1, 1], full[0, 1]], [full[0, 1], full[0, 0]]])
 
 
 class Drive:
-    """North at 10 m/s for 60 s at 50 Hz, fixes of 0.5 m each second; without an error what is true is known."""
+    """North at 10 m/s for 60 s at 50 Hz, fixes of 0.5 m each second, or others; without an error what is true is known.
+    """
 
-    def __init__(self):
+    def __init__(self, rate=1.0, noise=0.5):
+        self.noise = noise
         rng = np.random.default_rng(5)
         self.samples = np.zeros((3000, 7))
         self.samples[:, 0] = np.arange(1, 3001) / 50.0
         self.samples[:, 3] = -gravity(LATITUDE, 480.0)
         self.samples[:, 1:] += rng.standard_normal((3000, 6)) * np.repeat([0.03, 1e-3], 3)
-        self.time = np.arange(0.51, 59.0)
+        self.time = np.arange(0.51, 59.0, 1.0 / rate)
         self.position = np.stack([10.0 * self.time, np.zeros(len(self.time))], axis=1)
-        self.position += 0.5 * rng.standard_normal((len(self.time), 2))
+        self.position += noise * rng.standard_normal((len(self.time), 2))
 
     def through(self, mechanization, late=0.0, **more):
         """Configuration, memory, of each sample error (k, 2), m, and `spread` of the position (k, 2), m; late: s, of
@@ -178,7 +180,8 @@ class Drive:
                                               [1, 1, 1, .2, .2, .2, .005, .005, .02]), np.full(n - first, 1e-6)]))
         memory = started(config, velocity=(10.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
         scale = np.array([radii(LATITUDE)[0] + 480.0, (radii(LATITUDE)[1] + 480.0) * math.cos(LATITUDE)])
-        records = np.array([fix_record(t, LATITUDE + north / scale[0], LONGITUDE + east / scale[1], r=0.25 * np.eye(2))
+        r = self.noise**2 * np.eye(2)
+        records = np.array([fix_record(t, LATITUDE + north / scale[0], LONGITUDE + east / scale[1], r=r)
                             for t, (north, east) in zip(self.time, self.position)])
         kept = [Nav.TIME, Nav.LATITUDE, Nav.LONGITUDE, Nav.FIX_TIME,
                 *range(Hypothesis.SPREAD, Hypothesis.SPREAD + 4)]

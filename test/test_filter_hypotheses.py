@@ -11,7 +11,7 @@ from scipy.stats import chi2, multivariate_normal
 from test_filter_contradiction import BOTH, Drive, a_state
 
 from mems_ins_fusion.filter.bank import Bank
-from mems_ins_fusion.filter.memory import Event, Head, Nav, state_at
+from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, state_at
 from mems_ins_fusion.filter.trust import fix_drift
 from mems_ins_fusion.filter.trust.fix_drift import FORGETTING_TIME, FixDrift
 from mems_ins_fusion.filter.trust.hypotheses import (
@@ -34,6 +34,7 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     score_fix,
 )
 from mems_ins_fusion.filter.trust.new_start import are_refused
+from mems_ins_fusion.filter.trust.new_start import note as note_refused
 from mems_ins_fusion.filter.trust.receiver import Receiver
 
 S = np.array([[4.0, 1.0], [1.0, 9.0]])
@@ -139,6 +140,34 @@ def test_fixes_that_jump_and_come_back_are_left_and_the_ellipse_reaches_to_them(
     # and from 5 s on, when five fixes have been refused, to the end the 95 % ellipse reaches to the fixes
     disputed = slice(round(50 * 36.5), round(50 * 44.0))
     assert (math.sqrt(chi2.ppf(0.95, 2)) * sigma[disputed, 1] > 0.8 * 40.0).all()
+
+
+@BOTH
+def test_precise_fixes_that_jump_for_less_than_the_recovery_time_are_not_followed(mechanization):
+    # given fixes of 2 cm, ten a second, that are 8 m off to the east for 8 s; gnss.recovery_time is 10 s
+    drive = Drive(10.0, 0.02)
+    wrong = (drive.time > 30.0) & (drive.time < 38.0)
+    drive.position[wrong, 1] += 8.0
+    _, _, error, _, _ = drive.through(mechanization)
+    # then the filter stays where its inertial sensors have it, and is with the fixes when they are right again
+    assert np.hypot(*error.T).max() < 1.5 and np.hypot(*error[round(50 * 39.0):].T).max() < 0.2
+
+
+def test_right_fixes_are_found_again_though_those_before_them_did_not_agree():
+    # given refused fixes, one a second, that claim 2 cm: ten that scatter by 20 m, then those of a filter that is off
+    _, memory, r = a_state()
+    at, rng = int(memory[Head.EVENTS_AT]), np.random.default_rng(3)
+    memory[r + Receiver.CLAIMED] = 0.02**2
+    innovations = [*(20.0 * rng.standard_normal((10, 2))), *np.full((12, 2), 12.0)]
+    agree = []
+    for k, z in enumerate(innovations):
+        memory[at + Event.TIME], memory[at + Event.Z_N], memory[at + Event.Z_E] = k + 1.0, *z
+        memory[at + Event.VERDICT] = Verdict.REFUSED
+        note_refused(memory, r, at)
+        memory[r + Nav.FIX_TIME] = k + 1.0
+        agree.append(are_refused(memory, r))
+    # then they are found to agree as soon as five and five more of them have come, at most
+    assert not any(agree[:10]) and agree[-3:] == [True] * 3
 
 
 @BOTH

@@ -428,7 +428,7 @@ def published(config, memory, **columns_of_row):
     for name, value in columns_of_row.items():
         row[getattr(Nav, name)] = value
     out, covariance_enu = np.zeros(SIZE), np.zeros(9)
-    odometry(memory, np.array([LATITUDE, LONGITUDE, HEIGHT]), 2.0, 0.0, out, np.zeros(3), covariance_enu)
+    odometry(memory, np.array([LATITUDE, LONGITUDE, HEIGHT]), 2.0, out, np.zeros(3), covariance_enu)
     states = row[columns(config.layout).astype(np.int64)][None]
     run = result(config, np.zeros(1, np.int64), np.zeros(1, np.int64), states,
                  MeasurementLog(*np.zeros((3, 0), np.int64), np.zeros((0, Event.SIZE))), start=None, notices=[],

@@ -47,7 +47,7 @@ def test_the_posterior_is_that_of_bayes_rule(dimensions, squared, rest):
     assert judged.PRIOR - at[Scale.REDUCED] == pytest.approx(np.sum(density * (level - mean) ** 2), rel=0.02)
 
 
-@pytest.mark.parametrize('realised', [36.0, 400.0])
+@pytest.mark.parametrize('realised', [36.0, 400.0, 750.0**2])
 def test_another_scale_is_found_after_a_few_deviations_up_and_down(realised):
     # given a scale that has been 1 for a minute, then is another one for as long, and 1 again
     found = []

@@ -162,7 +162,7 @@ def test_the_variance_of_the_angular_rate_that_is_published_is_that_of_the_sampl
     # given gyroscopes with ten times the noise that is assumed
     config, memory = after(samples(60.0, 3e-3), mechanization=mechanization)
     out = np.zeros(SIZE)
-    odometry(memory, np.zeros(3), 1.0, 0.0, out, np.zeros(3), np.zeros(9))
+    odometry(memory, np.zeros(3), 1.0, out, np.zeros(3), np.zeros(9))
     density = shown(memory)[5] if mechanization == 'strapdown' else 3e-4  # the planar filter does not look
     row = memory[state_at(memory, int(memory[Head.SAMPLES])):][:row_width(config.layout)]
     error = covariance(row, config.layout)[config.layout.index('w_z'), config.layout.index('w_z')]

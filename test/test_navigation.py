@@ -176,7 +176,7 @@ def test_odometry_is_in_enu_and_flu(mechanization):
     views(memory)[3][-1, Sample.TIME] = -0.01  # the sample before
     # when seen from a datum elsewhere
     datum = np.array([0.8399, 0.2003, 470.0])
-    odometry(memory, datum, 2.0, 0.0, out, geodetic, geodetic_covariance)
+    odometry(memory, datum, 2.0, out, geodetic, geodetic_covariance)
     # then position and orientation are the rotated ones
     ned_to_enu, frd_to_flu = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]]), np.diag([1, -1, -1])
     assert out[:3] == pytest.approx(ned_to_enu @ earth.to_local(*geodetic, datum), abs=1e-9)
@@ -215,5 +215,5 @@ def test_angular_velocity_has_its_bias_removed():
     memory = started(config, x=x)
     take_sample(memory, 0.01, 0.0, 0.0, 9.8, 0.1, 0.2, 0.3)
     out = np.zeros(SIZE)
-    odometry(memory, np.array([0.84, 0.2, 480.0]), 1.0, 0.0, out, np.zeros(3), np.zeros(9))
+    odometry(memory, np.array([0.84, 0.2, 480.0]), 1.0, out, np.zeros(3), np.zeros(9))
     assert out[ANGULAR:ANGULAR + 3] == pytest.approx([0.1 - 0.01, 0.2 + 0.02, 0.3 + 0.03], abs=1e-15)

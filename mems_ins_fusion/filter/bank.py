@@ -121,8 +121,9 @@ def compare(memory):
     fixes_wrong = memory[r + Hypothesis.FIXES_WRONG] != 0.0
     if other[r + Nav.REFUSED] >= new_start.FEWEST_REFUSED:
         other[r + Hypothesis.CONSISTENT] = 0.0
-    # a new start must not lose while it may still turn out to be right
-    if fixes_wrong and other[r + Hypothesis.CONSISTENT] != 0.0 and not extrapolated:
+    # a new start must not lose while it may still turn out to be right, without the IMU being wrong, too
+    if (fixes_wrong and other[r + Hypothesis.CONSISTENT] != 0.0 and not extrapolated
+            and other[r + Nav.USE_ALL_FIXES] <= memory[r + Nav.USE_ALL_FIXES]):
         behind = hypotheses.restart_penalty(memory, time - memory[Bank.WRONG_SINCE])
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE] - behind)
     lead = hypotheses.score(memory, r) - hypotheses.score(other, r)
@@ -145,6 +146,7 @@ def _swap(memory, other):
         memory[i] = other[i]
     r = state_at(memory, int(memory[Head.SAMPLES]))
     memory[r + Hypothesis.CONSISTENT], other[r + Hypothesis.CONSISTENT] = 0.0, 1.0
+    other[r + Hypothesis.AGAINST_START] = 0.0
 
 
 @njit(_nrt=False)
@@ -159,6 +161,7 @@ def _start_from_fixes(memory, other, r, interval):
     _swap(memory, other)
     begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTING_SHARE) * memory[Head.RECOVERY_TIME])
     memory[Bank.OPEN], memory[Bank.WRONG_SINCE], memory[Bank.SEARCHED] = 1.0, begun, 1.0
+    memory[r + Hypothesis.AGAINST_START] = 1.0
     memory[Bank.SCATTER] = max(realised_scatter(memory, r), 1.0)
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)

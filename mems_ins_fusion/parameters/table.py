@@ -128,9 +128,9 @@ FILTER = (
     # the three models describe the same sensor: q = sigma sqrt(2 / tau)
     *_sensor('accelerometer', 'm/s^2', 0.01, 0.2, 4.1e-3, 0.05, 0.001165),
     *_sensor('gyroscope', 'rad/s', 3e-4, 0.01, 8.2e-5, 1e-3, 2.33e-5),
-    Parameter('gyroscope.scale_sigma', 0.005, '-', 'Standard deviation of the remaining scale factor error (strapdown): '
-              'the heading becomes less certain by this share of a turn. Data sheets of cheap parts allow 0.01 to 0.03. '
-              '0: gyroscope.scale is exact.', minimum=0.0, maximum=0.5),
+    Parameter('gyroscope.scale_sigma', 0.005, '-', 'Standard deviation of the remaining scale factor error '
+              '(strapdown): the heading becomes less certain by this share of a turn. Data sheets of cheap parts allow '
+              '0.01 to 0.03. 0: gyroscope.scale is exact.', minimum=0.0, maximum=0.5),
     Parameter('alignment.heading', 'course', 'text', 'Where the first heading comes from: course (of the fixes, once '
               'the vehicle moves), orientation (of the Imu message) or parameter.',
               choices=('course', 'orientation', 'parameter')),

@@ -34,6 +34,7 @@ Hypothesis = ROW.place(
     OFFSET=2,  # m, north and east, predicted minus measured: by what they are off,
     DRIFT=2,  # m/s, by what that changes,
     VARIANCE=3,  # of an offset, m^2, with its drift, m^2/s, and of that, m^2/s^2, the same for both axes; 0: none yet,
+    AGAINST_START=1,  # 1: it is compared with a filter that has started anew from these fixes,
     START_DUE=1,  # 1: the next fix is one that position and velocity start anew from,
     CONSISTENT=1,  # 1: it has refused no row of fixes since that start, or since it became the second filter
     SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
@@ -81,7 +82,10 @@ def score_fix(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
 
     s: covariance of the innovation, m^2; r_nn: what of it is the fix's; factor: the realised over the expected variance
     of innovations. It and a time offset that nobody declared widen the likelihoods of both statements alike, so that
-    neither wins by being narrow.
+    neither wins by being narrow. Beside a filter that has started anew from these fixes, the offset widens both along
+    the velocity alone: widened on all sides, the likelihood is smaller by nats a second where fixes are precise, and
+    wrong ones win within seconds. Beside a filter that uses the fixes it is widened on all sides: an offset that
+    follows fixes goes on explaining them where it is the filter that is wrong.
     """
     interval = min(max(mem[at + Event.TIME] - mem[r + Nav.FIX_TIME], 0.0), LONGEST_INTERVAL)
     counts = min(interval / SHORTEST_CORRELATION, 1.0)
@@ -99,7 +103,9 @@ def score_fix(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
         return True
     # the first of them is wrong: the hypothesis begins with it
     ended = 1.0 - math.exp(-FAULT_END_RATE * interval) if mem[r + Hypothesis.VARIANCE] != 0.0 else 0.0
-    wrong = _density_if_wrong(mem, r, z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), anywhere, interval)
+    if mem[r + Hypothesis.AGAINST_START] == 0.0:
+        r_nn, n, e = r_nn + 0.5 * (n * n + e * e) / factor, 0.0, 0.0
+    wrong = _density_if_wrong(mem, r, z_n, z_e, factor * r_nn, n, e, anywhere, interval)
     again, still = ended * right, (1.0 - ended) * wrong  # right again, and still wrong
     mem[r + Hypothesis.SCORE] += counts * math.log(again + still)
     if again > still:
@@ -147,9 +153,9 @@ def reach(share, distance):
 
 
 @njit(_nrt=False)
-def _density_if_wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
+def _density_if_wrong(mem, r, z_n, z_e, r_nn, late_n, late_e, anywhere, interval):
     """Density, 1/m^2, of a fix that is off by z of a wrong receiver, from which its offset is learned. r_nn: m^2, of
-    the scatter about that."""
+    the scatter about that; late: m, one sigma of what an undeclared time offset adds, along the velocity."""
     offset, drift, variance = r + Hypothesis.OFFSET, r + Hypothesis.DRIFT, r + Hypothesis.VARIANCE
     jumped = mem[variance] == 0.0
     density = anywhere
@@ -162,7 +168,9 @@ def _density_if_wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
         mem[offset + 1] += interval * mem[drift + 1]
         n, e = z_n - mem[offset], z_e - mem[offset + 1]
         jumps = max(1.0 - math.exp(-JUMP_RATE * interval), OUTLIER_SHARE)
-        goes_on = (1.0 - jumps) * math.exp(-0.5 * min((n * n + e * e) / s, 1000.0)) / (2.0 * math.pi * s)
+        along = s + late_n * late_n + late_e * late_e
+        nis = (n * n + e * e - (late_n * n + late_e * e) ** 2 / along) / s
+        goes_on = (1.0 - jumps) * math.exp(-0.5 * min(nis, 1000.0)) / (2.0 * math.pi * math.sqrt(s * along))
         density = goes_on + jumps * anywhere
         jumped = goes_on < jumps * anywhere
         if not jumped:
@@ -185,7 +193,7 @@ def _density_if_wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
 def begin_refusing(mem, r, interval):
     """The filter with the state at r says from now on that the fixes are wrong. interval: s between fixes."""
     mem[r + Hypothesis.FIXES_WRONG] = 1.0
-    mem[r + Hypothesis.VARIANCE] = 0.0
+    mem[r + Hypothesis.VARIANCE] = mem[r + Hypothesis.AGAINST_START] = 0.0
     for i in range(2):
         mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
     mem[r + Hypothesis.SCORE] += math.log(FAULT_RATE * min(max(interval, SHORTEST_CORRELATION), LONGEST_INTERVAL))

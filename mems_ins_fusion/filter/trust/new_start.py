@@ -55,11 +55,15 @@ LARGEST_YAW_SIGMA = 0.5
 
 @njit(_nrt=False)
 def note(mem, r, at):
-    """Add the fix at `at`, which has been judged, to the sums over fixes refused in a row."""
+    """Add the fix at `at`, which has been judged, to the sums over fixes refused in a row that agree.
+
+    Where those before it do not agree, the row begins with this fix: a receiver that was wrong is right again.
+    """
     time = mem[at + Event.TIME]
-    if mem[at + Event.VERDICT] != Verdict.REFUSED:
+    if mem[at + Event.VERDICT] != Verdict.REFUSED or _may_start(mem, r) and not _agree_as_claimed(mem, r):
         for i in range(Nav.REFUSED, Nav.SUM_SQUARE + 1):
             mem[r + i] = 0.0
+    if mem[at + Event.VERDICT] != Verdict.REFUSED:
         return
     if mem[r + Nav.REFUSED] == 0.0:
         mem[r + Nav.REFUSED_SINCE] = time
@@ -75,12 +79,25 @@ def note(mem, r, at):
 
 
 @njit(_nrt=False)
+def _may_start(mem, r):
+    """Whether so many fixes have been refused in a row, and for so long, the latest with the state at r, that they are
+    no outliers where they agree."""
+    return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED
+            and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] >= DIVERGED_AFTER)
+
+
+@njit(_nrt=False)
+def _agree_as_claimed(mem, r):
+    """Whether the refused innovations lie on a line, for fixes that claim what the latest one does."""
+    return _agree(mem, r, 2.0 * mem[r + Receiver.CLAIMED])
+
+
+@njit(_nrt=False)
 def are_refused(mem, r):
-    """Whether so many fixes have been refused in a row, the latest with the state at r, and agree so well that they are
+    """Whether several fixes have been refused in a row, the latest with the state at r, and agree so well that they are
     no outliers; not where the filter is certainly wrong."""
-    return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED and mem[r + Hypothesis.FIXES_WRONG] == 0.0
-            and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] >= DIVERGED_AFTER
-            and _agree(mem, r, 2.0 * mem[r + Receiver.CLAIMED]) and not _diverged(mem, r, mem[r + Nav.FIX_TIME]))
+    return (_may_start(mem, r) and mem[r + Hypothesis.FIXES_WRONG] == 0.0 and _agree_as_claimed(mem, r)
+            and not _diverged(mem, r, mem[r + Nav.FIX_TIME]))
 
 
 @njit(_nrt=False)
@@ -131,7 +148,7 @@ def start_anew(mem, r, at):
     # where it may as well be the fixes that are wrong, nothing is said against the IMU
     diverged = mem[r + Hypothesis.START_DUE] == 0.0 and _diverged(mem, r, mem[at + Event.TIME])
     mem[r + Hypothesis.START_DUE] = 0.0
-    v_n, v_e, drift = _velocity_of_fixes(mem, r, at, diverged)
+    v_n, v_e, drift, scatter = _velocity_of_fixes(mem, r, at, diverged)
     if diverged:
         again = mem[r + Nav.DIVERGENCES] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.DIVERGENCE_TIME] < AGAIN_WITHIN
         mem[r + Nav.DIVERGENCES] = mem[r + Nav.DIVERGENCES] + 1.0 if again else 1.0
@@ -154,7 +171,7 @@ def start_anew(mem, r, at):
         forget(mem, i, n)
     mem[r + Nav.LATITUDE], mem[r + Nav.LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     mem[r + Nav.V_N], mem[r + Nav.V_E] = v_n, v_e
-    variance = max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    variance = max(max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]), scatter)
     arm = mem[Head.LEVER_X] ** 2 + mem[Head.LEVER_Y] ** 2 + mem[Head.LEVER_Z] ** 2
     for i in range(2):
         mem[p + (n + 1) * i] = variance + arm
@@ -184,15 +201,18 @@ def _since_last_fix(mem, r, at):
 @njit(_nrt=False)
 def _velocity_of_fixes(mem, r, at, diverged):
     """Velocity (north, east) that the refused fixes show, and its variance: by how they drift from the filter, whose
-    own may be of no use where it has diverged, or by the last two of them."""
-    slope_n, slope_e, _, variance = _line(mem, r)
+    own may be of no use where it has diverged, or by the last two of them. And by how they scatter, m^2, both
+    components."""
+    slope_n, slope_e, spread, variance = _line(mem, r)
+    # each component's line has two numbers that are fitted to them
+    scatter = spread * mem[r + Nav.REFUSED] / max(mem[r + Nav.REFUSED] - 2.0, 1.0)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
     if not diverged or not 0.0 < interval < LONGEST_PAIR:
-        return mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e, NEW_VELOCITY_SIGMA**2 + variance
+        return mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e, NEW_VELOCITY_SIGMA**2 + variance, scatter
     north, east = _since_last_fix(mem, r, at)
-    claimed = max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    claimed = max(max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]), scatter)
     return (north / interval, east / interval,
-            NEW_VELOCITY_SIGMA**2 + (GAP_ACCELERATION * interval) ** 2 + claimed / interval**2)
+            NEW_VELOCITY_SIGMA**2 + (GAP_ACCELERATION * interval) ** 2 + claimed / interval**2, scatter)
 
 
 @njit(_nrt=False)

@@ -11,9 +11,9 @@ ways to learn:
   and likelihood are integrated over NODES (assumed density filtering, P. S. Maybeck, *Stochastic Models, Estimation,
   and Control* 2, 1982, 12.7). A scale stays as it is, until it becomes another one: a receiver among houses, a mount
   that comes loose. So there are two hypotheses, each with an estimate: the scale is as it was, or it has become another
-  one lately, with the prior again. The more probable one is used. One deviation that is far off is an outlier, several
-  in a row are another scale. (R. P. Adams and D. J. C. MacKay, "Bayesian online changepoint detection", 2007, has as
-  many hypotheses as there are instants.)
+  one lately, of any size (CHANGED_PRIOR). The more probable one is used. One deviation that is far off is an outlier,
+  several in a row are another scale. (R. P. Adams and D. J. C. MacKay, "Bayesian online changepoint detection", 2007,
+  has as many hypotheses as there are instants.)
 * `learn`, from means that have much in common, each of which tells a little: a Kalman filter with one state for the
   logarithm, which forgets (M. S. Bartlett and D. G. Kendall, "The statistical analysis of variance-heterogeneity and
   the logarithmic transformation", Supplement to J. Royal Statistical Society 8, 1946). A deviation of any size counts
@@ -84,6 +84,9 @@ assert Seen.SIZE == INPUT_SIZE
 Inputs = HEAD.place('Inputs', COUNT=1)  # how many inputs there are but the fixes
 #: variance of the logarithm before anything is seen: a claimed sigma is off by a factor of three, one sigma
 PRIOR = 4.8
+#: the same of a scale that has become another one: among houses, or without its base, a receiver may scatter a thousand
+#: times as far as it claims
+CHANGED_PRIOR = 16.0
 #: 1/s: a scale becomes another one once in twenty minutes: what a drive through a city brings
 CHANGE_RATE = 1.0 / 1200.0
 #: 1/s, by which the variance of one that `learn` follows grows: by a factor of e within ten minutes
@@ -160,15 +163,15 @@ def learn_changes(mem, at, time, squared, part, rest, dimensions, weight=1.0):
 
 @njit(_nrt=False)
 def _may_change(mem, at, probability):
-    """That the scale at `at` has become another one since the latest deviation, with this probability: the prior again.
-    """
+    """That the scale at `at` has become another one since the latest deviation, with this probability: of any size."""
     share = mem[at + Scale.CHANGED] + (1.0 - mem[at + Scale.CHANGED]) * probability
     if share == 0.0:
         return
     # mean and variance of a mixture of two normal distributions
     earlier, level, known = mem[at + Scale.CHANGED] / share, mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED]
     mem[at + Scale.CHANGED], mem[at + Scale.OTHER_LOG] = share, earlier * level
-    mem[at + Scale.OTHER_REDUCED] = earlier * (known - (1.0 - earlier) * level * level)
+    mem[at + Scale.OTHER_REDUCED] = (earlier * (known - (1.0 - earlier) * level * level)
+                                     + (1.0 - earlier) * (PRIOR - CHANGED_PRIOR))
 
 
 @njit(_nrt=False)
