@@ -6,16 +6,186 @@ that is done for what Python calls; what compiled code calls is a part of it.
 """
 from __future__ import annotations
 
-from numba.core import compiler, event, sigutils, types
+import functools
+import operator
+
+from numba.cpython import numbers
+from numba.core import compiler, event, ir, lowering, sigutils, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
+from numba.core.ir_utils import build_definitions
 from numba.core.registry import CPUDispatcher
-from numba.core.typing import make_concrete_template
+from numba.core.typed_passes import (
+    IRLegalization,
+    NativeLowering,
+    NoPythonBackend,
+    NopythonTypeInference,
+    PreLowerStripPhis,
+)
+from numba.core.typing import Context, make_concrete_template
+from numba.core.untyped_passes import (
+    FixupArgs,
+    GenericRewrites,
+    InlineInlinables,
+    IRProcessing,
+    ReconstructSSA,
+    TranslateByteCode,
+)
+from numba.np import arrayobj
+
+
+#: types of which values do not matter, and functions where they do: a constant exponent is a product
+_PLAIN = types.Number, types.Boolean, types.Array
+_BY_VALUE = operator.pow, operator.ipow
+#: how numba writes down an operator for two numbers of one type
+_OPERATORS = {(getattr(operator, name), kind, kind): getattr(numbers, f'{kind_name}_{how}_impl')
+              for kind, kind_name, signed in ((types.float64, 'real', ''), (types.int64, 'int', 's'))
+              for names, how in (('add iadd', 'add'), ('sub isub', 'sub'), ('mul imul', 'mul'), ('eq', 'eq'), ('ne', 'ne'),
+                                 ('lt', signed + 'lt'), ('le', signed + 'le'), ('gt', signed + 'gt'),
+                                 ('ge', signed + 'ge')) for name in names.split()}
 
 
 def compile_in_parts(function, options: dict) -> CPUDispatcher:
     """As `numba.njit(**options)(function)`."""
-    return _Compiled(function, targetoptions={'nopython': True, 'boundscheck': None, **options})
+    return _Compiled(function, targetoptions={'nopython': True, 'boundscheck': None, **options},
+                     pipeline_class=_Compiler)
+
+
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _Columns(FunctionPass):
+    """A column by its name, `Nav.TIME`, is the number that it is.
+
+    numba by itself makes a tuple of all columns for it, one instruction for each of them, and then takes one out.
+    """
+
+    _name = 'columns'
+
+    def __init__(self):
+        FunctionPass.__init__(self)
+
+    def run_pass(self, state):
+        blocks = state.func_ir.blocks.values()
+        tuples = {name.target.name: name.value.value for block in blocks for name in block.find_insts(ir.Assign)
+                  if isinstance(name.value, (ir.Global, ir.FreeVar)) and hasattr(name.value.value, '_fields')}
+        for block in blocks:
+            for statement in block.find_insts(ir.Assign):
+                value = statement.value
+                if isinstance(value, ir.Expr) and value.op == 'getattr' and value.value.name in tuples:
+                    statement.value = ir.Const(getattr(tuples[value.value.name], value.attr), value.loc)
+        if tuples:
+            used = {var.name for block in blocks for statement in block.body for var in statement.list_vars()
+                    if not (isinstance(statement, ir.Assign) and var is statement.target)}
+            for block in blocks:
+                block.body = [statement for statement in block.body if not isinstance(statement, ir.Assign)
+                              or statement.target.name not in tuples or statement.target.name in used]
+            state.func_ir._definitions = build_definitions(state.func_ir.blocks)
+        return bool(tuples)
+
+
+class _Typing(Context):
+    """numba's, which remembers what an operator or function makes of numbers and arrays.
+
+    numba by itself tries all that it may mean of strings, lists and records, each time.
+    """
+
+    def __init__(self, context):
+        self.__dict__ = context.__dict__
+        self._found = {}
+        super().refresh()
+
+    def refresh(self):
+        pass  # looks for extensions of numba, which the filter does not use
+
+    def resolve_function_type(self, func, args, kws):
+        if kws or isinstance(func, types.Type) and not isinstance(func, types.Function):  # ours among others
+            return super().resolve_function_type(func, args, kws)
+        if getattr(func, 'typing_key', func) not in _BY_VALUE and all(isinstance(kind, _PLAIN) for kind in args):
+            args = tuple(types.unliteral(kind) for kind in args)
+        key = func, args
+        if key not in self._found:
+            self._found[key] = super().resolve_function_type(*key, kws)
+        return self._found[key]
+
+    def resolve_setitem(self, target, index, value):
+        key = types.unliteral(target), types.unliteral(index), types.unliteral(value)
+        if key not in self._found:
+            self._found[key] = super().resolve_setitem(*key)
+        return self._found[key]
+
+
+class _Lower(lowering.Lower):
+    """numba's, with a short way for an element of an array of one dimension, and for numbers of one type.
+
+    It makes the same code; numba by itself looks up each time how that is done.
+    """
+
+    def lower_getitem(self, resty, expr, value, index, signature):
+        place = self._place(value, index, signature)
+        if place is None:
+            return super().lower_getitem(resty, expr, value, index, signature)
+        kind = signature.args[0]
+        element = arrayobj.load_item(self.context, self.builder, kind, place)
+        return self.context.cast(self.builder, element, kind.dtype, resty)
+
+    def lower_setitem(self, target_var, index_var, value_var, signature):
+        place = self._place(target_var, index_var, signature)
+        if place is None:
+            return super().lower_setitem(target_var, index_var, value_var, signature)
+        kind = signature.args[0]
+        element = self.context.cast(self.builder, self.loadvar(value_var.name), self.typeof(value_var.name), kind.dtype)
+        return arrayobj.store_item(self.context, self.builder, kind, element, place)
+
+    def _place(self, array, index, signature):
+        """Pointer to the element; None: it is not so simple."""
+        kind, at = signature.args[:2]
+        if not (isinstance(kind, types.Array) and kind.ndim == 1 and kind.layout == 'C' and kind.aligned
+                and isinstance(at, types.Integer)) or self.context.enable_boundscheck:
+            return None
+        model, whole = self.context.data_model_manager[kind], self.loadvar(array.name)
+        size = self.builder.extract_value(whole, (model.get_field_position('shape'), 0))
+        position = self.context.cast(self.builder, self.loadvar(index.name), self.typeof(index.name), at)
+        position = arrayobj.fix_integer_index(self.context, self.builder, at, position, size)
+        return self.builder.gep(self.builder.extract_value(whole, model.get_field_position('data')), [position])
+
+    def lower_binop(self, resty, expr, op):
+        signature = self.fndesc.calltypes[expr]
+        make = _OPERATORS.get((op, *signature.args))
+        if make is None or expr.static_lhs is not ir.UNDEFINED or expr.static_rhs is not ir.UNDEFINED:
+            return super().lower_binop(resty, expr, op)
+        operands = [self.context.cast(self.builder, self.loadvar(operand.name), self.typeof(operand.name), kind)
+                    for operand, kind in zip((expr.lhs, expr.rhs), signature.args)]
+        result = make(self.context, self.builder, signature, operands)
+        return self.context.cast(self.builder, result, signature.return_type, resty)
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _Lowering(NativeLowering):
+    _name = 'lowering'
+
+    @property
+    def lowering_class(self):
+        return _Lower
+
+
+@functools.cache
+def _typing(context):
+    return _Typing(context)
+
+
+class _Compiler(compiler.CompilerBase):
+    """Those steps of numba's that the filter's code needs, with `_Columns`: no closures, no lists, no `with`."""
+
+    def __init__(self, typing, *arguments):
+        super().__init__(_typing(typing), *arguments)
+
+    def define_pipelines(self):
+        passes = PassManager('mems_ins_fusion')
+        for step in (TranslateByteCode, FixupArgs, IRProcessing, InlineInlinables, GenericRewrites, _Columns,
+                     ReconstructSSA, NopythonTypeInference, PreLowerStripPhis, IRLegalization, _Lowering, NoPythonBackend):
+            passes.add_pass(step, step.name())
+        passes.finalize()
+        return [passes]
 
 
 class _Compiled(CPUDispatcher):
@@ -49,7 +219,8 @@ class _Compiled(CPUDispatcher):
         self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         library = _Part(self.targetctx.codegen(), self.py_func.__qualname__)
-        part = compiler.compile_extra(self.typingctx, self.targetctx, self.py_func, args, None, flags, {}, library)
+        part = compiler.compile_extra(self.typingctx, self.targetctx, self.py_func, args, None, flags, {}, library,
+                                      _Compiler)
         part = part._replace(entry_point=object())
         self.targetctx.insert_user_function(part.entry_point, part.fndesc, [library])
         return part
