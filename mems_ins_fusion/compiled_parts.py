@@ -176,8 +176,11 @@ def _typing(context):
 class _Compiler(compiler.CompilerBase):
     """Those steps of numba's that the filter's code needs, with `_Columns`: no closures, no lists, no `with`."""
 
-    def __init__(self, typing, *arguments):
-        super().__init__(_typing(typing), *arguments)
+    def __init__(self, typing, target, library, *arguments):
+        if library is None:
+            library = _Whole(target.codegen(), 'mems_ins_fusion')
+            library.enable_object_caching()
+        super().__init__(_typing(typing), target, library, *arguments)
 
     def define_pipelines(self):
         passes = PassManager('mems_ins_fusion')
@@ -207,8 +210,9 @@ class _Compiled(CPUDispatcher):
             details = {'dispatcher': self, 'args': args, 'return_type': None}
             with global_compiler_lock, event.trigger_event('numba:compile', data=details):
                 self._parts[args] = self._compile_part(args)
-        name, signatures = self.py_func.__name__, [part.signature for part in self._parts.values()]
-        return make_concrete_template(name, name, signatures), signature, args, {}
+            name, signatures = self.py_func.__name__, [part.signature for part in self._parts.values()]
+            self._template = make_concrete_template(name, name, signatures)
+        return self._template, signature, args, {}
 
     def get_overload(self, sig):
         """What numba then knows the called part by."""
@@ -226,11 +230,19 @@ class _Compiled(CPUDispatcher):
         return part
 
 
+class _Whole(JITCodeLibrary):
+    """LLVM's code of what Python calls, with all its parts, each linked once, optimised and translated."""
+
+    def finalize(self):
+        libraries = self._linking_libraries
+        for library in libraries:  # which grows in the loop
+            if isinstance(library, _Part):
+                libraries += [called for called in library._linking_libraries if called not in libraries]
+        super().finalize()
+
+
 class _Part(JITCodeLibrary):
-    """LLVM's code of a part and its parts, to be linked into what Python calls, optimised and translated there."""
+    """LLVM's code of a part alone, to be linked into what Python calls."""
 
-    def _optimize_final_module(self):
-        pass
-
-    def _finalize_final_module(self):
+    def finalize(self):
         self._finalized = True
