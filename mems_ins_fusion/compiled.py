@@ -49,7 +49,8 @@ _PACKAGES = ('navigation', 'filter', 'sensor_errors', 'characterization', 'effec
 def sources() -> list[Path]:
     """The files whose contents decide what compiled code is still good."""
     package = Path(__file__).parent
-    return [source for folder in _PACKAGES for source in sorted((package / folder).rglob('*.py'))]
+    return [package / 'compiled_parts.py',
+            *(source for folder in _PACKAGES for source in sorted((package / folder).rglob('*.py')))]
 
 
 def _folder() -> Path:
