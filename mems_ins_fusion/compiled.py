@@ -41,7 +41,7 @@ if _IS_TRIED:
     from .compiled_parts import compile_in_parts
 
 #: while numba compiles: it makes many small objects that stay, through which Python else looks again and again
-_GARBAGE_THRESHOLDS = 20_000, 20, 20
+_GARBAGE_THRESHOLDS = 100_000, 20, 20
 #: packages with compiled functions, and with what these use
 _PACKAGES = ('navigation', 'filter', 'sensor_errors', 'characterization', 'effects')
 
@@ -49,7 +49,8 @@ _PACKAGES = ('navigation', 'filter', 'sensor_errors', 'characterization', 'effec
 def sources() -> list[Path]:
     """The files whose contents decide what compiled code is still good."""
     package = Path(__file__).parent
-    return [source for folder in _PACKAGES for source in sorted((package / folder).rglob('*.py'))]
+    return [package / 'compiled_parts.py',
+            *(source for folder in _PACKAGES for source in sorted((package / folder).rglob('*.py')))]
 
 
 def _folder() -> Path:

@@ -75,6 +75,46 @@ print('mems_ins_fusion.compiled_parts' in sys.modules)
     assert (done.returncode, done.stdout) == (0, f'right\n{in_parts}\n'), done.stderr
 
 
+def test_numbers_arrays_and_columns_are_what_they_are_in_python(tmp_path):
+    # given a function with what has a way of its own in compiled_parts: columns by name, also of one of two tuples,
+    # elements from the end, by an unsigned position and of integers, and operators of numbers
+    script = tmp_path / 'probe.py'
+    script.write_text("""
+from collections import namedtuple
+import numpy as np
+from mems_ins_fusion.compiled import njit
+
+Row = namedtuple('Row', 'FIRST SECOND')(1, 2)
+Later = type(Row)(2, 3)
+
+def python(row, whole, k, is_later):
+    columns = Row
+    if is_later:
+        columns = Later
+    total = row[-1] + row[columns.SECOND] - row[Row.FIRST] * whole[k]
+    row[Row.FIRST] = whole[-2]
+    row[np.uint64(k)] += 0.5
+    whole[columns.FIRST - 1] -= k * 2
+    total += 100.0 if row[0] <= 2.5 and whole[0] != whole[1] or k > 3 else 10.0
+    total *= row[columns.FIRST] ** 2 / 8
+    return total, k - columns.SECOND, row[2] >= total, whole[k] == Later.SECOND, columns.FIRST < 2, total > -3
+
+compiled = njit(python)
+for k in range(4):
+    for is_later in (False, True):
+        told = []
+        for function in (python, compiled):
+            row, whole = np.array([2.5, 3.0, -4.0, 5.5]), np.array([7, 3, 2, 1])
+            told.append((function(row, whole, k, is_later), row.tolist(), whole.tolist()))
+        assert told[0] == told[1], told
+print('right')
+""")
+    environment = {**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'cache'), 'PYTHONPATH': str(PACKAGE.parent)}
+    done = subprocess.run([sys.executable, script], env=environment, text=True, capture_output=True)
+    # then compiled it computes what Python does
+    assert (done.returncode, done.stdout) == (0, 'right\n'), done.stderr
+
+
 def test_the_user_hears_that_it_compiles_and_how_long_it_took_the_last_time(probe):
     assert f'{SAYS_THAT_IT_COMPILES}, once for each version of it (about a minute)' in probe()
     assert probe() == ''
