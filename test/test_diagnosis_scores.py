@@ -178,14 +178,16 @@ def test_detection_is_silent_when_the_model_is_right_and_says_what_is_wrong_when
     good = white(np.random.default_rng(5))
     s = np.array([unpacked(row) for row in good.s])
     factor = np.linalg.cholesky(s)
-    lasting = good.whitened() + np.roll(good.whitened(), 1, axis=0)
+    lasting, alternating = (good.whitened() + sign * np.roll(good.whitened(), 1, axis=0) for sign in (1, -1))
 
     def words(z):
         return ' '.join(detect(Residual(z, good.s, good.yaw, good.velocity), mask).words())
     assert 'as large as the filter expects (NIS' in words(1.5 * good.z)
     assert 'smaller than the filter expects' in words(0.7 * good.z)
     assert 'mean is not zero: north' in words(good.z + factor[:, :, 0] * 0.5)
-    assert 'not white' in words(np.einsum('fij,fj->fi', factor, lasting) / np.sqrt(2))
+    last, alternate = (words(np.einsum('fij,fj->fi', factor, z) / np.sqrt(2)) for z in (lasting, alternating))
+    assert 'not white' in last and 'an error that lasts' in last and 'other sign' not in last
+    assert 'not white' in alternate and 'follows the fixes too closely' in alternate and 'lasts' not in alternate
     assert words(good.z).startswith('The innovations are white')
 
 
