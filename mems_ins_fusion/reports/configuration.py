@@ -60,8 +60,8 @@ def story(result: Configuration) -> list[str]:
 
 
 def in_short(result: Configuration) -> str:
-    """The same in a line of a console: units, angles, time offset. Of the angles the yaw has its sigma, which differs most
-    between drives."""
+    """The same in a line of a console: units, angles, time offset. Of the angles the yaw has its sigma, which differs
+    most between drives."""
     said, found = f'{result.values["imu.acceleration_unit"]}, {result.values["imu.rate_unit"]}', result.mounting
     if found is not None:
         roll, pitch, yaw = (f'{angle:.1f}' if abs(angle) < 100.0 else f'{angle:.0f}' for angle in np.degrees(found.rpy))
