@@ -98,14 +98,13 @@ def configuration_page(result: Configuration, yaml_text: str, answered: Answer) 
     summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(story(result))}'
     return html.page('What the recording says about the vehicle', [
         section('Is the file ready?', answered.html(), *_figure(result),
-                settings_table({s.name: s.value for s in result.settings})),
-        answered.evidence(), folded('Why', _evidence(result)), *_mounting(result), _sensors(result),
+                settings_table({s.name: s.value for s in result.settings}, evidence=_evidence(result))),
+        answered.evidence(), *_mounting(result), _sensors(result),
         folded('The file', preformatted(yaml_text)), _explanation()], summary.replace('+-', '\N{PLUS-MINUS SIGN}'))
 
 
-def _evidence(result):
-    return table(['parameter', 'evidence'],
-                 [[s.name, '; '.join(s.why).replace('+-', '\N{PLUS-MINUS SIGN}')] for s in result.settings])
+def _evidence(result) -> dict[str, str]:
+    return {s.name: '; '.join(s.why).replace('+-', '\N{PLUS-MINUS SIGN}') for s in result.settings}
 
 
 def _mounting(result):
