@@ -593,6 +593,14 @@ def test_standstills_that_cannot_be_told_from_motion_need_a_proof_not_to_do_with
     assert found['vehicle.zero_velocity'] == chosen
     # and else only with a proof
     assert _chosen(tried, outages_with(1.0), {})[0].values == used
+    # the same beside an effect with which errors are a third, and which predicts best with them
+    late = {**used, 'gnss.time_offset': 0.2}
+    effect = Correction(late, [late], {}, True)
+    tried = [(Tried(effect, outages_with(1.0)), Verdict('better')),
+             (Tried(effect.switched('vehicle.zero_velocity'), outages_with(error), (outages_with(1.0),)),
+              Verdict('better')), (Tried(kept, outages_with(3.0)), Verdict('same'))]
+    found = _chosen(tried, outages_with(3.0), {'vehicle.zero_velocity': False})[0].values
+    assert found == {**late, 'vehicle.zero_velocity': chosen}
 
 
 def test_effects_that_predict_worse_for_certain_are_told():
