@@ -208,7 +208,8 @@ def _origin(d: Diagnosis, name: str) -> str:
     if name in d.noise:
         return f'noise level with which this drive is predicted best: {d.noise[name]:.3g} times as configured, {before}'
     text = '; '.join(parameters_text(f) for f in d.findings if f.added and name in f.changes)
-    return f'{text or "changed with the effects"}; before: {before}'
+    text = text or next((remark.rstrip('.') for remark in d.remarks if name in remark), 'changed with the effects')
+    return f'{text}; before: {before}'
 
 
 def _comment(text: str, indent: str) -> list[str]:
