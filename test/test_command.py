@@ -56,6 +56,17 @@ def test_a_misspelled_name_is_answered_with_the_one_meant(argv, meant, capsys):
     assert len(text.splitlines()) == 1 or argv[0] not in TOOLS, text
 
 
+@pytest.mark.parametrize(['words', 'hint'], [
+    (['--gnss-topic', '/fix'], 'gnss_topic is a parameter; write it into a file and give that with --params-file'),
+    (['--gnss.sigma=2'], 'gnss.sigma is a parameter; write it into a file and give that with --params-file'),
+    (['-p', 'gnss.sigma:=2'], "'-p' is for nodes: parameters are given in a file, with --params-file")])
+def test_a_parameter_given_as_an_option_is_answered_with_the_file(words, hint, capsys):
+    status, text = said(capsys, 'diagnose', '--bag', 'x', '--output', 'y', *words)
+    assert status == 2 and hint in text and len(text.splitlines()) == 1, text
+    # and not by a tool that takes no such file
+    assert 'params-file' not in said(capsys, 'configure', '--bag', 'x', '--output', 'y', *words)[1]
+
+
 def test_a_misspelled_parameter_of_a_file_is_answered_too():
     with pytest.raises(ParameterError, match="did you mean 'gnss.max_delay'"):
         check({'gnss.maxdelay': 1.0})

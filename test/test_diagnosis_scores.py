@@ -178,14 +178,16 @@ def test_detection_is_silent_when_the_model_is_right_and_says_what_is_wrong_when
     good = white(np.random.default_rng(5))
     s = np.array([unpacked(row) for row in good.s])
     factor = np.linalg.cholesky(s)
-    lasting = good.whitened() + np.roll(good.whitened(), 1, axis=0)
+    lasting, alternating = (good.whitened() + sign * np.roll(good.whitened(), 1, axis=0) for sign in (1, -1))
 
     def words(z):
         return ' '.join(detect(Residual(z, good.s, good.yaw, good.velocity), mask).words())
     assert 'as large as the filter expects (NIS' in words(1.5 * good.z)
     assert 'smaller than the filter expects' in words(0.7 * good.z)
     assert 'mean is not zero: north' in words(good.z + factor[:, :, 0] * 0.5)
-    assert 'not white' in words(np.einsum('fij,fj->fi', factor, lasting) / np.sqrt(2))
+    last, alternate = (words(np.einsum('fij,fj->fi', factor, z) / np.sqrt(2)) for z in (lasting, alternating))
+    assert 'not white' in last and 'an error that lasts' in last and 'other sign' not in last
+    assert 'not white' in alternate and 'follows the fixes too closely' in alternate and 'lasts' not in alternate
     assert words(good.z).startswith('The innovations are white')
 
 
@@ -535,11 +537,12 @@ def test_what_corrected_yaml_holds(answers, gain, chosen):
     # for those without the noise levels
     given, one = table.check({}), outages_with(1.0)
     effects, noise = {**given, 'gnss.time_offset': 0.2}, {**given, 'gnss.sigma': 2.0}
-    without = outages_with(2.0) if gain else one
+    without, kept = outages_with(2.0) if gain else one, Correction(given, [given], {}, False)
+    levels = Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,))
     tried = [(Tried(Correction(effects, [effects], {}, True), one), Verdict(answers[0])),
-             (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False), one, (without,)), Verdict(answers[1])),
-             (Tried(Correction(given, [given], {}, False), one), Verdict(answers[2]))]
-    correction, _, verdict, _, _ = _chosen(tried, one)
+             (Tried(levels, one, (without,)), Verdict(answers[1])),
+             (Tried(kept, one), Verdict(answers[2]))]
+    correction, _, verdict, _, _ = _chosen(tried, one, {})
     assert correction is tried[chosen][0].correction
     assert verdict.answer == answers[0 if chosen == 2 else chosen]  # or that on the best of what was tried
 
@@ -549,12 +552,55 @@ def test_smaller_errors_go_before_better_predictions():
     given = table.check({})
     setting, noise = {**given, 'imu.adapt_noise': False}, {**given, 'gnss.sigma': 2.0}
     unsure, honest, smaller = outages_with(1.0, 0.3), outages_with(1.0, 1.0), outages_with(0.5, 0.15)
-    tried = [(Tried(Correction(setting, [setting], {}, False), honest, (unsure,)), Verdict('cannot_tell')),
-             (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False), smaller, (unsure,)), Verdict('better')),
-             (Tried(Correction(given, [given], {}, False), unsure), Verdict('same'))]
+    kept = Correction(given, [given], {}, False)
+    tried = [(Tried(Correction(setting, [setting], {}, False, beside=(kept,)), honest, (unsure,)),
+              Verdict('cannot_tell')),
+             (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,)), smaller, (unsure,)),
+              Verdict('better')),
+             (Tried(kept, unsure), Verdict('same'))]
     # then these are in corrected.yaml, and the setting where there are no such levels
-    assert _chosen(tried, unsure)[0].values == noise
-    assert _chosen([tried[0], tried[2]], unsure)[0].values == setting
+    assert _chosen(tried, unsure, {})[0].values == noise
+    assert _chosen([tried[0], tried[2]], unsure, {})[0].values == setting
+
+
+@pytest.mark.parametrize('alone, both, chosen', [
+    # noise levels without a gain of their own, and effects without them with an error that grows: what was given is
+    # worse for certain than both together
+    ('worse', 'better', 'both'),
+    # not where errors with both are not smaller for certain, and effects alone go before
+    ('worse', 'cannot_tell', 'given'), ('cannot_tell', 'better', 'alone')])
+def test_what_only_together_makes_errors_smaller_is_kept_together(alone, both, chosen):
+    given, one = table.check({}), outages_with(1.0)
+    late = {**given, 'gnss.time_offset': 0.2}
+    effects = Correction(late, [late], {}, True)
+    levelled = replace(effects, values={**late, 'gnss.sigma': 2.0}, factors={'gnss.sigma': 2.0}, beside=(effects,))
+    options = {'both': levelled, 'alone': effects, 'given': Correction(given, [given], {}, False)}
+    tried = [(Tried(levelled, one, (one,)), Verdict(both)), (Tried(effects, one), Verdict(alone)),
+             (Tried(options['given'], one), Verdict('same'))]
+    assert _chosen(tried, one, {})[0] is options[chosen]
+
+
+@pytest.mark.parametrize('error, chosen', [(1.0, False), (1.5, True)])
+def test_standstills_that_cannot_be_told_from_motion_need_a_proof_not_to_do_without(error, chosen):
+    # given errors that are the same without standstills, or larger
+    used, off = table.check({}), table.check({'vehicle.zero_velocity': False})
+    kept = Correction(used, [used], {}, False)
+    tried = [(Tried(kept.switched('vehicle.zero_velocity'), outages_with(error), (outages_with(1.0),)),
+              Verdict('cannot_tell')), (Tried(kept, outages_with(1.0)), Verdict('same'))]
+    assert tried[0][0].correction.values == off
+    # then corrected.yaml does without them where it does no harm, if the recording asks for that
+    found = _chosen(tried, outages_with(1.0), {'vehicle.zero_velocity': False})[0].values
+    assert found['vehicle.zero_velocity'] == chosen
+    # and else only with a proof
+    assert _chosen(tried, outages_with(1.0), {})[0].values == used
+    # the same beside an effect with which errors are a third, and which predicts best with them
+    late = {**used, 'gnss.time_offset': 0.2}
+    effect = Correction(late, [late], {}, True)
+    tried = [(Tried(effect, outages_with(1.0)), Verdict('better')),
+             (Tried(effect.switched('vehicle.zero_velocity'), outages_with(error), (outages_with(1.0),)),
+              Verdict('better')), (Tried(kept, outages_with(3.0)), Verdict('same'))]
+    found = _chosen(tried, outages_with(3.0), {'vehicle.zero_velocity': False})[0].values
+    assert found == {**late, 'vehicle.zero_velocity': chosen}
 
 
 def test_effects_that_predict_worse_for_certain_are_told():
@@ -564,10 +610,10 @@ def test_effects_that_predict_worse_for_certain_are_told():
     tried = [(Tried(Correction(late, [late], {}, True), outages_with(1.0, 4.0)), Verdict('cannot_tell')),
              (Tried(Correction(given, [given], {}, False), one), Verdict('same'))]
     # then what was given stays, and the reason is said
-    correction, *_, against = _chosen(tried, one)
+    correction, *_, against = _chosen(tried, one, {})
     assert correction.values == given and against == PREDICTS_WORSE
     tried[0] = Tried(tried[0][0].correction, one), Verdict('cannot_tell')
-    assert _chosen(tried, one)[0].values == late
+    assert _chosen(tried, one, {})[0].values == late
 
 
 def outages_with(scale, sigma=1.0, count=36, largest=0.0, seed=1):
@@ -643,14 +689,15 @@ def test_noise_levels_count_by_their_own_gain_whether_the_offset_is_given_or_fou
     levels = Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(replace(effects, effects=False),))
     # when the offset is found, which both together prove, and when the params file has it already
     tried = [Tried(both, levelled, (known,)), Tried(effects, known), Tried(Correction(given, [given], {}, False), late)]
-    found = _chosen([(t, judged(late, t.errors, t.correction.effects)) for t in tried], late)
+    found = _chosen([(t, judged(late, t.errors, t.correction.effects)) for t in tried], late, {})
     tried = [Tried(levels, levelled, (known,)), Tried(replace(effects, effects=False), known)]
-    after = _chosen([(t, judged(known, t.errors)) for t in tried], known)
+    after = _chosen([(t, judged(known, t.errors)) for t in tried], known, {})
     # and when the offset alone is not proven
     alone = _chosen([(Tried(both, levelled, (known,)), Verdict('better')), (Tried(effects, known), Verdict('worse')),
-                     (Tried(Correction(given, [given], {}, False), late), Verdict('same'))], late)
-    assert (alone[0].values, alone[2].answer) == ((noise, 'better') if better else (given, 'cannot_tell'))
-    # then both ways end with the same parameters: with the noise levels that have a gain of their own
+                     (Tried(Correction(given, [given], {}, False), late), Verdict('same'))], late, {})
+    # then it is kept with the noise levels with which it is: what was given is worse for certain
+    assert (alone[0].values, alone[2].answer) == (noise, 'better')
+    # and else both ways end with the same parameters: with the noise levels that have a gain of their own
     assert found[0].values == after[0].values == (noise if better else offset)
     assert found[2].answer == 'better'
 

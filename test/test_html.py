@@ -72,6 +72,9 @@ def test_parameters_stand_in_rows_of_two_with_their_units():
     assert '-0.2 s' in said and '[0.0, 0.1, 0.2] rad' in said and "'/imu/data'" in said
     assert 'fitted_to' not in shown and '<table class="pairs">' in shown
     assert 'pairs' not in html.table(['a', 'b', 'c'], [[1, 2, 3]])
+    # and what a value stands on is beside it
+    said = Outline(settings_table({'gnss.sigma': 0.0}, evidence={'gnss.sigma': 'the stated sigma is used'})).text
+    assert {'0.0 m', 'evidence', 'the stated sigma is used'} <= {text.strip() for text in said}
 
 
 def test_a_folded_section_is_in_the_contents():
@@ -111,3 +114,20 @@ def test_on_a_phone_no_label_and_no_legend_of_a_figure_is_cut_off(monkeypatch, c
     assert figure.get_figwidth() == html.PHONE and len(seen) == 2 + 2 * columns
     assert all(box.x0 >= whole.x0 and box.x1 <= whole.x1 and box.y0 >= whole.y0 and box.y1 <= whole.y1 for box in seen)
     assert not any(one.overlaps(other) for i, one in enumerate(seen) for other in seen[:i])
+
+
+@pytest.mark.parametrize(['columns', 'below'], [(3, True), (2, True), (1, False)])
+def test_on_a_phone_no_legend_covers_the_lines_of_a_small_panel(columns, below):
+    # given panels beside each other, the first of which has the legend of all
+    figure = html.empty_figure(11, 4)
+    panels = figure.subplots(1, columns, squeeze=False)[0]
+    for axes in panels:
+        axes.plot([0, 1], [0, 1], label='random walk')
+        axes.plot([0, 1], [1, 0], label='Gauss-Markov')
+    panels[0].legend()
+    # when they are drawn for a phone
+    html.narrow_bytes(figure)
+    # then it stands below all, and stays where a single panel has room for it
+    assert (panels[0].get_legend() is None) == below == bool(figure.legends)
+    for legend in figure.legends:
+        assert [text.get_text() for text in legend.get_texts()] == ['random walk', 'Gauss-Markov']

@@ -128,7 +128,7 @@ def test_sigmas_that_are_not_honest_are_told_by_their_size_over_time():
     assert small.answer == NO and 1.8 < small.scale.value < 2.2 and 'too small' in trust_text(small)
     large = trusted([consistent(rng, 17, 17, 0.4), Consistency(None, 0.16 * rng.chisquare(2, 500))])
     assert large.answer == TOO_CAREFUL
-    assert trust_text(large).startswith('its sigmas are larger than need be: in 30 s without fixes errors are 0.')
+    assert trust_text(large).startswith('its sigmas are too large: errors in 30 s without fixes are 0.')
     # and of two durations the one that speaks most against them is told
     two = trusted([consistent(rng, 17, 17, 0.2), Consistency(10.0, 0.16 * rng.chisquare(2, 17), np.ones(17, bool), 17)])
     assert two.answer == TOO_CAREFUL and two.scale.duration == 30.0
@@ -168,6 +168,10 @@ def test_a_headline_does_not_contradict_the_file():
     # then a file that is kept is said to be kept, and why; one that is changed, by what its likelihood proves, is not
     assert headline(verdict).startswith('Keep your parameters: the error grows: in monday')
     assert headline(verdict, changed=True).startswith('corrected.yaml is not proven to make errors smaller: in 30')
+    # and where the file is kept, it is said that the smaller error is not with it
+    chance = change_in_outages(30.0, np.array([6.0, 7.0, 8.0, 9.0]), np.array([4.0, 9.5, 3.0, 9.5]), 4)
+    for kept in (verdict, decide([chance])):
+        assert kept.answer == CANNOT_TELL and '; with what was found, in 30 s' in headline(kept).replace(': w', '; w')
 
 
 def test_what_is_certainly_wrong_makes_a_recording_not_usable():
@@ -182,12 +186,17 @@ def test_what_is_certainly_wrong_makes_a_recording_not_usable():
     assert certainly_wrong(found, values) == [backwards, dead]
     # a planar filter does without three of the axes
     assert certainly_wrong(found, values | {'mechanization': 'planar'}) == [backwards]
-    verdict, answer = not_usable([backwards], values)
+    verdict, answer = not_usable([backwards], values, ['my drive'])
     assert verdict_json(verdict)['answer'] == 'not_usable' and 'set imu.mounting_rpy' in answer.headline
     assert answer.grade == 'bad' and answer.headline.startswith('Not usable')
-    # and what to do is to set what can be set, or to record again where nothing can
+    # what to do is to set what can be set, or to record again where nothing can
     settable = replace(backwards, settings=('imu.mounting_rpy',))
-    assert [not_usable([f], values)[1].steps[0].what.split()[0] for f in (settable, dead)] == ['Set', 'Cure']
+    (step,), (cure,) = (not_usable([f], values, ['my drive'])[1].steps for f in (settable, dead))
+    assert step.command == "python -m mems_ins_fusion configure --bag 'my drive' --output configured.yaml"
+    assert cure.what.startswith('Cure this') and not cure.command
+    # and nothing is said twice
+    lines = answer.short()
+    assert ' '.join(lines).count('mounted backwards') == 1 and not any(line.startswith('wrong') for line in lines)
 
 
 def test_no_line_of_an_answer_ends_between_a_number_and_its_unit():
@@ -221,11 +230,15 @@ def test_a_diagnosis_that_proves_nothing_says_what_the_recording_contradicts():
     from mems_ins_fusion.reports.diagnosis_answer import _steps
 
     kept = SimpleNamespace(better=False, changed=False, findings=[], verdict=decide([]), values={}, corrected={})
-    step, = _steps(kept, 'out', 'my.yaml', ['imu.mounting_rpy', 'gnss.time_offset'])
-    assert step.what == 'Set imu.mounting_rpy and gnss.time_offset as configure writes them, and diagnose again.'
+    step, = _steps(kept, 'out', ['drive'], 'my.yaml', ['imu.mounting_rpy', 'gnss.time_offset'])
+    assert step.what == 'Set imu.mounting_rpy and gnss.time_offset as configure writes them, and diagnose again:'
+    assert step.command == 'python -m mems_ins_fusion configure --bag drive --output configured.yaml'
+    # and that comes before a comparison of what was changed
+    first, *_ = _steps(SimpleNamespace(**{**vars(kept), 'changed': True}), 'out', ['drive'], 'my.yaml', ['gnss.sigma'])
+    assert first.command == step.command
     # a proof comes before it
-    assert 'as configure' not in str(_steps(SimpleNamespace(**{
-        **vars(kept), 'better': True, 'changed': True, 'trust': trusted([])}), 'out', 'my.yaml', ['gnss.time_offset']))
+    better = SimpleNamespace(**{**vars(kept), 'better': True, 'changed': True, 'trust': trusted([])})
+    assert 'as configure' not in str(_steps(better, 'out', ['drive'], 'my.yaml', ['gnss.time_offset']))
 
 
 def test_a_diagnosis_is_green_only_where_a_gain_is_proven_or_nothing_is_wrong():
@@ -263,7 +276,7 @@ def test_who_keeps_the_parameters_is_told_to_drive_on_with_them():
     for answer in (SAME, WORSE):
         kept = SimpleNamespace(better=False, changed=False, findings=[], values={}, corrected={},
                                verdict=replace(decide([]), answer=answer))
-        step, = _steps(kept, 'out', 'my.yaml', [])
+        step, = _steps(kept, 'out', ['drive'], 'my.yaml', [])
         assert step.command.endswith('fusion_node --ros-args --params-file my.yaml')
 
 

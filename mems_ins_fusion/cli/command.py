@@ -25,8 +25,21 @@ class Parser(argparse.ArgumentParser):
             option = word.partition('=')[0]
             if option.startswith('--') and option != '--' and option not in self._option_string_actions:
                 known = [name for name in self._option_string_actions if name.startswith('--')]
-                self.error(f"unknown option '{option}'{did_you_mean(option, known)}")
+                hint = self._in_params_file(option.removeprefix('--')) or did_you_mean(option, known)
+                self.error(f"unknown option '{option}'{hint}")
+            if word in ('-p', '--ros-args') and '--params-file' in self._option_string_actions:
+                self.error(f"'{word}' is for nodes: parameters are given in a file, with --params-file")
         return super().parse_known_args(args, namespace)
+
+    def _in_params_file(self, name: str) -> str:
+        """Hint that `name` is a parameter, not an option; '' where it is none, or no file of them is taken."""
+        from mems_ins_fusion.parameters import table
+
+        known = {one.replace('_', '-'): one for one in table.defaults()}
+        parameter = known.get(name.replace('_', '-'))
+        if parameter is None or '--params-file' not in self._option_string_actions:
+            return ''
+        return f': {parameter} is a parameter; write it into a file and give that with --params-file'
 
     def error(self, message: str):
         self.exit(2, f'{self.tool}: {one_line(message)} (--help shows all options)\n')
@@ -45,14 +58,17 @@ class Parser(argparse.ArgumentParser):
         self.add_argument('--overwrite', action='store_true', help='replace an existing result')
 
 
-def run(parser: Parser, work: Callable[[argparse.Namespace], str], argv: list[str] | None) -> int:
-    """Parse `argv` (None: the command line) and print what `work` returns. Returns the exit status.
+def run(parser: Parser, work: Callable[[argparse.Namespace], str | tuple[str, int]], argv: list[str] | None) -> int:
+    """Parse `argv` (None: the command line) and print what `work` returns, with an exit status where that is not 0.
+    Returns the exit status.
 
     An InputError in `work` is printed as one line, with exit status 2.
     """
     options = parser.parse_args(argv)
     try:
-        print(work(options))
+        said = work(options)
     except InputError as error:
         return refuse(parser.tool, error)
-    return 0
+    text, status = said if isinstance(said, tuple) else (said, 0)
+    print(text)
+    return status

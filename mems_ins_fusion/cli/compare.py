@@ -91,8 +91,8 @@ def _replay(options, kind: str, path: str, folder: Path, known_as: Path) -> None
 def _parser():
     parser = Parser('compare', DESCRIPTION)
     add = parser.add_argument
-    add('first', metavar='A', help='result of replay_node, params file, or recording')
-    add('second', metavar='B', help='the other, of the same kind')
+    add('first', metavar='FIRST', help='result of replay_node, params file, or recording')
+    add('second', metavar='SECOND', help='the other, of the same kind')
     add('--output', required=True, metavar='DIR', help='folder for the results')
     add('--bag', metavar='BAG', help='the recording that two params files are compared on')
     parser.add_params_file('the filter for two recordings, or the parameters below both params files')

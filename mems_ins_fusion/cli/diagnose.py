@@ -6,6 +6,7 @@ from pathlib import Path
 
 from mems_ins_fusion.cli.command import Parser, run
 from mems_ins_fusion.errors import InputError
+from mems_ins_fusion.guard import BAD_INPUT
 from mems_ins_fusion.parameters import params_file, table
 from mems_ins_fusion.progress import Progress
 
@@ -24,11 +25,10 @@ def main(argv: list[str] | None = None) -> int:
     return run(_parser(), diagnose, argv)
 
 
-def diagnose(options: argparse.Namespace) -> str:
-    """Read, diagnose and write the results; returns the answer for the user. Raises InputError for bad options or
-    input.
+def diagnose(options: argparse.Namespace) -> tuple[str, int]:
+    """Read, diagnose and write the results; returns the answer for the user and the exit status. Raises InputError for
+    bad options or input.
     """
-    from mems_ins_fusion.diagnosis.problem import DiagnosisError
     from mems_ins_fusion.reports.diagnosing import diagnose_drives, read_drive
     from mems_ins_fusion.reports.diagnosis import story
     from mems_ins_fusion.results import result_folder
@@ -44,10 +44,10 @@ def diagnose(options: argparse.Namespace) -> str:
                                progress=lambda part, what: bar(0.2 + 0.75 * part, what),
                                params_files=options.params_file)
         bar(1.0, 'done')
-    if done.result is None:
-        raise DiagnosisError(done.answer.headline)
-    said = [*story(done.result, done.answer), *done.said] if options.verbose else done.answer.short()
-    return '\n'.join([*said, f'report: {options.output}/report.html'])
+    said = done.answer.short()
+    if options.verbose:
+        said = [*(done.answer.lines() if done.result is None else story(done.result, done.answer)), *done.said]
+    return '\n'.join([*said, f'report: {options.output}/report.html']), BAD_INPUT if done.result is None else 0
 
 
 def _parameters(options, kept: dict) -> dict:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..evaluation.verdict import BETTER, CANNOT_TELL, WORSE, Verdict
+from ..evaluation.verdict import BETTER, WORSE, Verdict
 from . import learned_mounting
 from .detection import detect
 from .drives import Drives, part
@@ -39,8 +39,6 @@ MOUNTING = 'mounting_rotation'
 NO_PROOF = 'no smaller error is proven with it'
 #: the same, where what it predicts is worse for certain
 PREDICTS_WORSE = 'errors and sigmas together predict positions less well with it'
-#: why what makes errors smaller is not in corrected.yaml
-NO_GAIN_OF_OTHERS = 'the noise levels or settings that belong to what was found have no proven gain of their own'
 #: what is told of settings that are tried the other way round, where positions are predicted better so
 _SWITCHED = {
     'imu.adapt_noise': {
@@ -94,7 +92,7 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
     correction, after, verdict, judged_by, against = _chosen([
         (tried, judged(before, tried.errors, tried.correction.effects))
-        for tried in _as_measured(corrections, trials)], before)
+        for tried in _as_measured(corrections, trials)], before, trials.without_standstills)
     comparison = compared(before, judged_by)
     if correction.values != given:  # one filter may start later than the other
         before, after = in_common(before, after), in_common(after, before)
@@ -125,41 +123,60 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
         rest=[rest for found in rests for rest in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
         + _noise_remarks(explained | correction.factors)
-        + [f'{_SWITCHED[name][now]}: positions are predicted better with {name}: {str(now).lower()}.'
-           for name, now in _switched(given, correction.values).items()])
+        + [f'{_SWITCHED[name][now]}: '
+           + ('errors are no larger' if name in trials.without_standstills else 'positions are predicted better')
+           + f' with {name}: {str(now).lower()}.' for name, now in _switched(given, correction.values).items()])
     if len(drives) < 2:
         return whole
     return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])
 
 
-def _chosen(tried: list[tuple[Tried, Verdict]],
-            before: Measured) -> tuple[Correction, Measured, Verdict, Measured, str]:
+def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
+            wanted: dict[str, bool]) -> tuple[Correction, Measured, Verdict, Measured, str]:
     """Of the corrections tried, what predicts best first and what was given last, the one for corrected.yaml.
 
     Effects first, as other noise levels hide them; then what makes errors smaller for certain, which a user feels
     more than better predictions. Each part of a correction has a proof of its own, whatever else it holds: so a params
     file that has the effects already gets the same noise levels as one that does not. Effects have it by the likelihood
-    of held-out data, noise levels and settings beside the same filter without them (`gain_proven`). All of it counts
+    of held-out data, noise levels and settings beside the same filter without them (`_stands`). All of it counts
     where errors are smaller for certain, or where it is proven so and no error grows: who stamps fixes late has the
-    withheld ones late as well, so that errors against these need not tell. Else what was given, with the verdict on the
-    best of what was tried. Then the errors that the verdict is about: of the correction, or of what was tried. Last
-    what speaks against effects that are not in it.
+    withheld ones late as well, so that errors against these need not tell. Where no correction has all these proofs,
+    effects count together with noise levels and settings if errors are smaller for certain: what was given is worse.
+    Else what was given, with the verdict on the best of what was tried. Then the errors that the verdict is about: of
+    the correction, or of what was tried. Last what speaks against effects that are not in it.
+
+    wanted: settings that the recording asks for (`TrialRuns.without_standstills`), preferred where they do no harm.
     """
     against = ''
-    for one, verdict in sorted(tried[:-1], key=lambda found: (not found[0].correction.effects,
-                                                              found[1].answer != BETTER)):
-        if not all(gain_proven(other, one.errors) for other in one.beside):
-            continue
-        worse = '' if verdict.answer == BETTER else unproven(compared(before, one.errors)) or (
-            PREDICTS_WORSE if predicts_worse(before, one.errors) else NO_PROOF if verdict.answer == WORSE else '')
+    ordered = sorted(tried[:-1], key=lambda found: (
+        not found[0].correction.effects, found[1].answer != BETTER, not _has(found[0].correction.values, wanted)))
+    stand = [found for found in ordered if _stands(found[0], wanted)]
+    for one, verdict in [*stand, *(f for f in ordered if f[0].correction.effects and f[1].answer == BETTER)]:
+        worse = '' if verdict.answer == BETTER else _worse(before, one.errors) or (
+            NO_PROOF if verdict.answer == WORSE else '')
         if not worse:
             return one.correction, one.errors, verdict, one.errors, against or NO_PROOF
         if one.correction.effects:
             against = worse
     (best, verdict), (kept, _) = tried[0], tried[-1]
-    if verdict.answer == BETTER:
-        verdict = replace(verdict, answer=CANNOT_TELL, why=(NO_GAIN_OF_OTHERS,))
     return kept.correction, kept.errors, verdict, best.errors, against or NO_PROOF
+
+
+def _has(values: dict, settings: dict) -> bool:
+    return {**values, **settings} == values
+
+
+def _stands(one: Tried, wanted: dict[str, bool]) -> bool:
+    """Whether the noise levels and settings of a correction have a gain of their own, beside the same filter without.
+    `wanted` settings need none: they must do no harm."""
+    return all(
+        not _worse(errors, one.errors) if wanted and {**without.values, **wanted} == one.correction.values
+        else gain_proven(errors, one.errors) for without, errors in zip(one.correction.beside, one.beside, strict=True))
+
+
+def _worse(before: Measured, after: Measured) -> str:
+    """What is worse after; empty where nothing is."""
+    return unproven(compared(before, after)) or (PREDICTS_WORSE if predicts_worse(before, after) else '')
 
 
 def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]) -> Diagnosis:

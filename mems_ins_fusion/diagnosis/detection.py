@@ -21,7 +21,8 @@ class Detection:
     """Tests of whitened innovations, which should be white, of unit variance and of mean zero.
 
     nis_mean: mean normalized innovation squared, 2 where the model is right; nis_bounds: its 99 % interval then. mean
-    and mean_p, whiteness_p: by component. ljung_box_p: the smallest of the four, times four. count: innovations.
+    and mean_p, whiteness_p, to_next (correlation of each with the next one): by component. ljung_box_p: the smallest
+    whiteness_p, times four. count: innovations.
     """
 
     nis_mean: float
@@ -29,8 +30,14 @@ class Detection:
     mean: dict[str, float]
     mean_p: dict[str, float]
     whiteness_p: dict[str, float]
+    to_next: dict[str, float]
     ljung_box_p: float
     count: int
+
+    @property
+    def alternates(self) -> bool:
+        """Innovations change sign from one to the next, where they are least white: the filter's gain is too large."""
+        return self.to_next[min(COMPONENTS, key=self.whiteness_p.__getitem__)] < 0.0
 
     @property
     def consistent(self) -> bool:
@@ -57,8 +64,9 @@ class Detection:
                         f'{low:.2f} to {high:.2f} expected): its noise is set too high.')
         coloured = [name for name in COMPONENTS if self.whiteness_p[name] < COLOURED / 4]
         if coloured:
-            said.append(f"They are not white ({', '.join(coloured)}): each tells something of the next, so the filter "
-                        'makes an error that lasts.')
+            said.append(f"They are not white ({', '.join(coloured)}): each tells something of the next, " + (
+                'which has the other sign: the filter follows the fixes too closely.' if self.alternates else
+                'so the filter makes an error that lasts.'))
         shifted = [f'{name} by {self.mean[name]:+.2f} sigma' for name in COMPONENTS
                    if self.mean_p[name] < SHIFTED / 4]
         if shifted:
@@ -75,8 +83,15 @@ def detect(residual: Residual, mask: np.ndarray) -> Detection:
     series = dict(zip(COMPONENTS, [*u.T, *t.T]))
     n = len(u)
     whiteness = {name: ljung_box(values, LAGS) for name, values in series.items()}
+    to_next = {name: _to_next(values) for name, values in series.items()}
     mean = {name: float(values.mean()) for name, values in series.items()}
     mean_p = {name: float(2 * norm.sf(abs(m) * np.sqrt(n))) for name, m in mean.items()}
     bounds = tuple(float(b) / n for b in chi2.ppf([0.005, 0.995], 2 * n))
-    return Detection(float((u**2).sum() / n), bounds, mean, mean_p, whiteness,
+    return Detection(float((u**2).sum() / n), bounds, mean, mean_p, whiteness, to_next,
                      min(1.0, 4 * min(whiteness.values())), n)
+
+
+def _to_next(values: np.ndarray) -> float:
+    """Correlation of each of the values (n,) with the next one; 0 where they are all the same."""
+    centred = values - values.mean()
+    return float(centred[:-1] @ centred[1:] / max(centred @ centred, np.finfo(float).tiny))

@@ -2,13 +2,17 @@
 from __future__ import annotations
 
 import re
+import shlex
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ..filter.measurements.registry import AIDING
 from .html import Html, bullets, command, folded, paragraph
 
 GOOD, WARNING, BAD = 'good', 'warning', 'bad'
+#: in a command, where it is not known which params file was given
+YOURS = 'YOUR_FILE.yaml'
 #: characters of a line on a console
 WIDTH = 100
 #: what the checker looks at, each with a parameter of its topic
@@ -51,10 +55,16 @@ class Answer:
         """What `wrong` is called: most of it only limits how good the result is."""
         return 'wrong' if self.grade == BAD else 'note'
 
+    @property
+    def noted(self) -> list[str]:
+        """`wrong` without what the headline says already."""
+        return [text for text in self.wrong if text not in self.headline]
+
     def short(self) -> list[str]:
         """For the console, in a few lines of WIDTH: the answer, what is wrong most, trust, and what to do next. What
         to do is never cut."""
-        wrong = [shorten(f'{self.label}: {self.wrong[0]}', _more(len(self.wrong) - 1))] if self.wrong else []
+        noted = self.noted
+        wrong = [shorten(f'{self.label}: {noted[0]}', _more(len(noted) - 1))] if noted else []
         trust = [shorten(f'trust: {self.trust}')] if self.trust else []
         steps = [line for s in self.first
                  for line in (typed(f'next: {s.command}') if s.command else textwrap.wrap(
@@ -73,7 +83,7 @@ class Answer:
 
     def html(self) -> Html:
         """For the page, first of all: as on the console."""
-        parts = [(self.label, self.wrong[:1]), ('cost', self.cost[len(self.cost) // 2:][:1]),
+        parts = [(self.label, self.noted[:1]), ('cost', self.cost[len(self.cost) // 2:][:1]),
                  ('trust', [self.trust] if self.trust else [])]
         lines = ''.join(f'<p><b>{name}:</b> {paragraph(text)[3:-4]}</p>' for name, texts in parts for text in texts)
         headline = Html(paragraph(self.headline).replace('<p>', '<p class="headline">', 1))
@@ -143,6 +153,12 @@ def _part(title: str, texts: list[str]) -> str:
     if not texts:
         return ''
     return f'<h3>{title}</h3>' + (bullets(texts) if len(texts) > 1 else paragraph(texts[0]))
+
+
+def let_configure(bags: Sequence[str]) -> Step:
+    """What to do where recordings contradict parameters. bags: paths."""
+    return Step('Let configure write a params file, or set by hand what is wrong:',
+                f'python -m mems_ins_fusion configure --bag {shlex.join(bags)} --output configured.yaml')
 
 
 def topics_of(values: dict) -> dict[str, str]:

@@ -7,7 +7,7 @@ import shlex
 from ..characterization.characterize import Characterization
 from ..recordings.checker import INFO, Finding
 from ..recordings.findings import checked_text
-from .answer import GOOD, WARNING, Answer, Step
+from .answer import GOOD, WARNING, YOURS, Answer, Step
 from .colours import MODEL_NAMES
 from .html import number
 
@@ -105,9 +105,9 @@ def _trust(c: Characterization, quiet: list[str]) -> str:
 
 
 def _steps(c: Characterization, output: str) -> list[Step]:
-    path = shlex.quote(f'{output}/imu.yaml')
-    return [Step('Try it on a drive:', f'python -m mems_ins_fusion diagnose --bag DRIVE --params-file {path} --output '
-                 'diagnosis'),
-            Step('Drive with it:', f'python -m mems_ins_fusion fusion_node --ros-args --params-file {path}'),
+    files = f'--params-file {YOURS} --params-file {shlex.quote(f"{output}/imu.yaml")}'
+    return [Step(f'Diagnose a drive with it, after the file with topics and mounting ({YOURS}); the later file counts:',
+                 f'python -m mems_ins_fusion diagnose --bag DRIVE {files} --output diagnosis'),
+            Step('Drive with both:', f'python -m mems_ins_fusion fusion_node --ros-args {files}'),
             Step('What a drive adds to it (vibration, temperature) no recording at rest shows: where NIS on the road '
                  'is far above 2, raise noise_density first.')]

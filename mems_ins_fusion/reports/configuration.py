@@ -60,14 +60,16 @@ def story(result: Configuration) -> list[str]:
 
 
 def in_short(result: Configuration) -> str:
-    """The same in a line of a console: units, angles, time offset."""
-    said, found = f'{result.values["imu.acceleration_unit"]} and {result.values["imu.rate_unit"]}', result.mounting
+    """The same in a line of a console: units, angles, time offset. Of the angles the yaw has its sigma, which differs
+    most between drives."""
+    said, found = f'{result.values["imu.acceleration_unit"]}, {result.values["imu.rate_unit"]}', result.mounting
     if found is not None:
         roll, pitch, yaw = (f'{angle:.1f}' if abs(angle) < 100.0 else f'{angle:.0f}' for angle in np.degrees(found.rpy))
-        said += f', roll {roll}, pitch {pitch}, yaw ' + (f'{yaw} deg' if found.yaw_known else 'not shown')
+        said += f', roll {roll}, pitch {pitch}, yaw ' + (
+            f'{yaw} +- {math.degrees(found.sigma[2]):.1f} deg' if found.yaw_known else 'not shown')
         if found.offset is not None and found.offset.shown:
             said += f'; fixes {abs(found.lag):.3f} +- {found.lag_sigma:.3f} s {"late" if found.lag > 0 else "early"}'
-    return shorten(f'found: IMU in {said}')
+    return shorten(f'found: {said}')
 
 
 def answer(result: Configuration, bags: list[str], output: str) -> Answer:
@@ -96,14 +98,13 @@ def configuration_page(result: Configuration, yaml_text: str, answered: Answer) 
     summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(story(result))}'
     return html.page('What the recording says about the vehicle', [
         section('Is the file ready?', answered.html(), *_figure(result),
-                settings_table({s.name: s.value for s in result.settings})),
-        answered.evidence(), folded('Why', _evidence(result)), *_mounting(result), _sensors(result),
+                settings_table({s.name: s.value for s in result.settings}, evidence=_evidence(result))),
+        answered.evidence(), *_mounting(result), _sensors(result),
         folded('The file', preformatted(yaml_text)), _explanation()], summary.replace('+-', '\N{PLUS-MINUS SIGN}'))
 
 
-def _evidence(result):
-    return table(['parameter', 'evidence'],
-                 [[s.name, '; '.join(s.why).replace('+-', '\N{PLUS-MINUS SIGN}')] for s in result.settings])
+def _evidence(result) -> dict[str, str]:
+    return {s.name: '; '.join(s.why).replace('+-', '\N{PLUS-MINUS SIGN}') for s in result.settings}
 
 
 def _mounting(result):

@@ -21,9 +21,10 @@ from .verdict import certainly_wrong
 
 @dataclass(frozen=True)
 class Drive:
-    """A recording as it was read. found: by the checker. wrong: those of `found` that make it not usable. said: what
-    reading it warned of."""
+    """A recording as it was read. path: of the bag. found: by the checker. wrong: those of `found` that make it not
+    usable. said: what reading it warned of."""
 
+    path: str
     recording: Recording
     found: list[Finding]
     wrong: list[Finding]
@@ -44,7 +45,7 @@ def read_drive(path, values: dict, progress: Callable[[float], None] = lambda pa
     """The part of the recording `path` that the checked parameters `values` ask for. Errors as `read_part`."""
     recording, said = read_part(path, values, progress)
     found = check(recording, values)
-    return Drive(recording, found, certainly_wrong(found, values), said)
+    return Drive(str(path), recording, found, certainly_wrong(found, values), said)
 
 
 def diagnose_drives(drives: Sequence[Drive], values: dict, kept: dict, folder: Path, known_as: str, pages: bool = True,
@@ -57,18 +58,18 @@ def diagnose_drives(drives: Sequence[Drive], values: dict, kept: dict, folder: P
     the page names. params_files: those that gave `values`, for the commands on it. Raises RecordingError where the
     drives are not of one vehicle, and DiagnosisError.
     """
-    recordings = [drive.recording for drive in drives]
+    recordings, bags = [drive.recording for drive in drives], [drive.path for drive in drives]
     refuse_other_vehicles(recordings)
     said = [f'{_of(drive, drives)}{text}' for drive in drives for text in drive.said]
     found, wrong = ([replace(f, message=f'{_of(drive, drives)}{f.message}') for drive in drives
                      for f in getattr(drive, name)] for name in ('found', 'wrong'))
     if wrong:  # no effect is estimated from such data
         names = [recording.name for recording in recordings]
-        verdict, answered = not_usable(wrong, values)
+        verdict, answered = not_usable(wrong, values, bags)
         done = Diagnosed(None, answered, reports.not_usable_report(names, values, verdict, answered, found, said), said)
     else:
         result = diagnose(recordings, values, progress, spacing=values['outage_spacing'])
-        answered = answer(result, found, known_as, *(params_files if len(params_files) == 1 else ()))
+        answered = answer(result, found, known_as, bags, *(params_files if len(params_files) == 1 else ()))
         done = Diagnosed(result, answered, reports.report(result, answered, found, said), said)
         (folder / 'corrected.yaml').write_text(reports.corrected_yaml(result, kept), encoding='utf-8')
     (folder / 'report.json').write_text(json_text(done.content, indent=1), encoding='utf-8')

@@ -125,8 +125,8 @@ def _measured(d: Diagnosis, stage: str, values: dict) -> dict:
     key = {'model': values['sensor_error_model'], 'mechanization': values['mechanization']}
     return {**numbers, 'outages': [key | outage for outage in numbers['outages']], 'nis_mean': detection.nis_mean,
             'nis_bounds': detection.nis_bounds, 'ljung_box_p': detection.ljung_box_p, 'mean': detection.mean,
-            'mean_p': detection.mean_p, 'whiteness_p': detection.whiteness_p, 'innovations': detection.count,
-            'words': detection.words()}
+            'mean_p': detection.mean_p, 'whiteness_p': detection.whiteness_p, 'to_next': detection.to_next,
+            'innovations': detection.count, 'words': detection.words()}
 
 
 def _candidate(c: Candidate, d: Diagnosis) -> dict:
@@ -208,7 +208,8 @@ def _origin(d: Diagnosis, name: str) -> str:
     if name in d.noise:
         return f'noise level with which this drive is predicted best: {d.noise[name]:.3g} times as configured, {before}'
     text = '; '.join(parameters_text(f) for f in d.findings if f.added and name in f.changes)
-    return f'{text or "changed with the effects"}; before: {before}'
+    text = text or next((remark.rstrip('.') for remark in d.remarks if name in remark), 'changed with the effects')
+    return f'{text}; before: {before}'
 
 
 def _comment(text: str, indent: str) -> list[str]:
@@ -270,7 +271,9 @@ def unexplained_text(d: Diagnosis) -> str:
         return 'Nothing is left unexplained.'
     text = 'A part stays unexplained'
     if not d.rest:
-        return f'{text}: errors still last from one fix to the next, and go with nothing that was recorded.'
+        seen = 'change sign from fix to fix' if d.detections['search'].alternates else (
+            'still last from one fix to the next')
+        return f'{text}: errors {seen}, and go with nothing that was recorded.'
     return f'{text}. What is left looks like an error of the ' + ', or of the '.join(
         f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
 

@@ -2,6 +2,8 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,21 +15,21 @@ from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked
 from ..recordings.findings import checked_text
-from .answer import BAD, GOOD, WARNING, Answer, Step, topics_of
+from .answer import BAD, GOOD, WARNING, YOURS, Answer, Step, let_configure, topics_of
 from .diagnosis import capital, changed, cost, rounded_value, this, unexplained_text
 from .effect_words import check, looks_the_same, size, what
 from .verdict import because, change_text, trust_text
 
-#: in a command, where it is not known which params file was given
-YOURS = 'YOUR_FILE.yaml'
 #: seen, not fitted, and with a size that the text of what is seen does not have
 WITH_SIZE = {MOUNTING}
 
 
-def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, params_file: str = YOURS) -> Answer:
+def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, bags: Sequence[str],
+           params_file: str = YOURS) -> Answer:
     """Whether to use corrected.yaml, what was wrong, what it costs, what remains, what to do.
 
-    checked: what the checker found. output: folder of the results, params_file: what was given; for the commands.
+    checked: what the checker found. output: folder of the results, bags: paths of the recordings, params_file: what was
+    given; for the commands.
     """
     d = diagnosis
     out = [f'{name} was left out: {why}' for name, why in d.left_out.items()]
@@ -42,7 +44,7 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, params_fil
     lacking = bool(d.detections['after' if d.changed else 'before'].lacking)
     settings = [name for f in checked if f.severity != INFO for name in f.settings if name not in changed(d)]
     return Answer(_grade(d, lacking), headline(d.verdict, d.changed), [*out, *found, *to_set, *shown, *said], cost(d),
-                  _steps(d, output, params_file, settings),
+                  _steps(d, output, bags, params_file, settings),
                   trust_text(d.trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
                   [*tried, *left, *d.remarks], because(d.verdict))
 
@@ -56,16 +58,16 @@ def _grade(d: Diagnosis, lacking: bool) -> str:
     return BAD if untrue else WARNING if lacking or d.changed else GOOD
 
 
-def not_usable(found: list[Checked], values: dict) -> tuple[Verdict, Answer]:
+def not_usable(found: list[Checked], values: dict, bags: Sequence[str]) -> tuple[Verdict, Answer]:
     """The answer where something in the recording is certainly wrong, so that no effect can be estimated from it.
 
-    found: of severity error. values: parameters.
+    found: of severity error. values: parameters. bags: paths of the recordings, for the command.
     """
     said = [checked_text(f, topics_of(values)) for f in found]
     verdict = Verdict(NOT_USABLE, why=tuple(said))
-    step = 'Set this in the params file (or let configure write one), and diagnose again.' if any(
-        f.settings for f in found) else 'Cure this where the messages come from, and record again.'
-    return verdict, Answer(BAD, headline(verdict), said, [], [Step(step)])
+    step = let_configure(bags) if any(f.settings for f in found) else Step(
+        'Cure this where the messages come from, and record again.')
+    return verdict, Answer(BAD, headline(verdict), said, [], [step])
 
 
 def found_text(f: Finding, d: Diagnosis) -> str:
@@ -113,7 +115,9 @@ def shown_text(detection: Detection) -> str:
         said.append(f'the fixes lie {np.sqrt(detection.nis_mean / 2):.2g} times as far from where it expects them as '
                     'it thinks they can')
     if detection.ljung_box_p < COLOURED:
-        said.append('its errors last from one fix to the next, as those of a wrong setting do and noise does not')
+        said.append('its errors change sign from fix to fix: it follows the fixes too closely, as with a noise of the '
+                    'IMU that is too high, or of the fixes that is too low' if detection.alternates else
+                    'its errors last from one fix to the next, as those of a wrong setting do and noise does not')
     return f'The filter as configured: {"; ".join(said) or "it is always off to the same side"}.'
 
 
@@ -137,14 +141,14 @@ def headline(verdict: Verdict, changed: bool = False) -> str:
         what_of_it = 'makes no difference' if verdict.answer == SAME else 'is not proven to make errors smaller'
         return f'corrected.yaml {what_of_it}: {proof}.'
     if verdict.why:
-        return f'Keep your parameters: {verdict.why[0]}; {proof}.'
+        return f'Keep your parameters: {verdict.why[0]}; with what was found, {proof}.'
     return {BETTER: f'Use corrected.yaml: {proof}.',
             SAME: f'Keep your parameters, what was found makes no difference: {proof}.',
             WORSE: f'Keep your parameters, what was found makes it worse: {proof}.',
-            CANNOT_TELL: f'Keep your parameters, no gain is proven: {proof}.'}[verdict.answer]
+            CANNOT_TELL: f'Keep your parameters, no gain is proven: with what was found, {proof}.'}[verdict.answer]
 
 
-def _steps(d: Diagnosis, output: str, params_file: str, settings: list[str]) -> list[Step]:
+def _steps(d: Diagnosis, output: str, bags: Sequence[str], params_file: str, settings: list[str]) -> list[Step]:
     """settings: names of parameters that the recording contradicts."""
     steps = []
     if d.better:
@@ -161,13 +165,13 @@ def _steps(d: Diagnosis, output: str, params_file: str, settings: list[str]) -> 
         steps.append(Step('The drives contradict each other in what is left alone above: find out what was changed '
                           'between them, and diagnose them apart.'))
     if d.changed and not d.better:
-        steps.append(Step('Fixes that it was not fitted to are predicted better for certain, and errors are no larger. '
-                          'Compare both on another drive:',
+        steps.append(Step('What it changes is proven by fixes that it was not fitted to, or is what the recording asks '
+                          'for, and errors are no larger. Compare both on another drive:',
                           f'python -m mems_ins_fusion compare {shlex.quote(params_file)} '
                           f'{shlex.quote(f"{output}/corrected.yaml")} --bag ANOTHER_DRIVE --output compared'))
     if settings and not d.better:
-        steps.append(Step(f'Set {" and ".join(settings)} as configure writes {"them" if settings[1:] else "it"}, and '
-                          'diagnose again.'))
+        steps.insert(0, replace(let_configure(bags), what=f'Set {" and ".join(settings)} as configure writes '
+                                f'{"them" if settings[1:] else "it"}, and diagnose again:'))
     elif not d.changed and d.verdict.answer in (SAME, WORSE) and params_file != YOURS:
         steps.append(Step('Drive on with your parameters:', 'python -m mems_ins_fusion fusion_node --ros-args '
                           f'--params-file {shlex.quote(params_file)}'))

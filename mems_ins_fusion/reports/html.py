@@ -30,6 +30,8 @@ PANEL = 1.9
 LETTER = 0.55
 #: points, height of the letters of a legend below all axes
 _LEGEND = 8
+#: points, height of the numbers at the axes of panels below each other
+_SMALL = 7
 _STYLE = (Path(__file__).parent / 'page.css').read_text(encoding='ascii')
 
 
@@ -139,11 +141,12 @@ def image_bytes(drawing, dpi: int = 120) -> bytes:
 
 def narrow_bytes(drawing) -> bytes:
     """A Matplotlib figure as PNG for a screen of PHONE inches, where letters keep their size: panels that stand three
-    and more in a row stand below each other, labels break into lines, a legend below all has fewer columns. The last
-    that is drawn of the figure, as it stays so."""
+    and more in a row stand below each other, legends of panels stand below all, in fewer columns, labels break into
+    lines. The last that is drawn of the figure, as it stays so."""
     width, height = drawing.get_size_inches()
     rows = _stacked(drawing)
-    beside = 0.2 * len(drawing.axes[0].get_legend_handles_labels()[1]) if drawing.legends else 0.0
+    below = bool(drawing.legends or len(drawing.axes) > 1 and _with_legend(drawing))
+    beside = 0.2 * len(_legend_of(drawing)[1]) if below else 0.0
     drawing.set_size_inches(PHONE, PANEL * rows + beside if rows else min(max(1.4 * PHONE * height / width, 3.0), 7.0))
     labels = [(text, 0.9 * PHONE) for text in drawing.texts]  # and the room of each, inches
     for axes in drawing.axes:
@@ -155,7 +158,7 @@ def narrow_bytes(drawing) -> bytes:
     for label, room in labels:
         letters = int(72.0 * room / (LETTER * label.get_fontsize()))
         label.set_text(textwrap.fill(label.get_text(), max(letters, 8)))
-    if drawing.legends:
+    if below:
         legend_below(drawing)
     return image_bytes(drawing, dpi=110)
 
@@ -173,21 +176,33 @@ def _stacked(drawing) -> int:
     stack = GridSpec(rows, columns, figure=drawing)
     for place, axes in enumerate(drawing.axes):
         axes.set_subplotspec(stack[divmod(place, columns)])
-        axes.tick_params(labelbottom=True)
+        axes.tick_params(labelbottom=True, labelsize=_SMALL)
+        axes.title.set(x=1.0, ha='right')  # at the left a power of ten may stand
     return rows
 
 
 def legend_below(drawing) -> None:
-    """What the first axes show, as the figure's legend below all axes, in as many columns as its width has room for.
+    """The figure's legend below all axes, in as many columns as its width has room for: what panels with a legend show,
+    which goes there, or else what the first ones show.
     (`loc='outside lower center'`, which is the like, came with matplotlib 3.7.)"""
-    for legend in list(drawing.legends):
+    handles, labels = _legend_of(drawing)
+    for legend in [*drawing.legends, *(axes.get_legend() for axes in _with_legend(drawing))]:
         legend.remove()
-    handles, labels = drawing.axes[0].get_legend_handles_labels()
     widest = 0.5 + LETTER * _LEGEND / 72.0 * max(map(len, labels))  # inches, with the line beside it
     columns = max(min(int(drawing.get_figwidth() / widest), 4), 1)
     bottom = (0.15 + 0.18 * -(-len(labels) // columns)) / drawing.get_figheight()
     drawing.get_layout_engine().set(rect=(0.0, bottom, 1.0, 1.0 - bottom))
     drawing.legend(handles, labels, loc='lower center', ncols=columns, fontsize=_LEGEND)
+
+
+def _with_legend(drawing) -> list:
+    return [axes for axes in drawing.axes if axes.get_legend()]
+
+
+def _legend_of(drawing) -> tuple[list, list[str]]:
+    """Lines and names of the legend below all axes."""
+    shown = [axes.get_legend_handles_labels() for axes in _with_legend(drawing) or drawing.axes[:1]]
+    return [line for lines, _ in shown for line in lines], [name for _, names in shown for name in names]
 
 
 def number(value, digits: int = 4) -> str:

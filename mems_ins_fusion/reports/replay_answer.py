@@ -24,7 +24,7 @@ from ..evaluation.verdict import (
 from ..recordings.checker import INFO, Finding
 from ..recordings.findings import checked_text
 from ..recordings.sketch import fitted_to
-from .answer import BAD, GOOD, WARNING, Answer, Step, topics_of
+from .answer import BAD, GOOD, WARNING, Answer, Step, let_configure, topics_of
 from .html import number
 from .replay_figures import model_name
 from .verdict import certainly_wrong, change_text, too_small_text, trust_text
@@ -99,7 +99,7 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
     accuracy = _accuracy(comparison, best, values['fixes_until'])
     steps = [] if verdict.answer == NOT_USABLE else _steps(grade, comparison, best, values, bag, params_file)
     if verdict.answer == NOT_USABLE or any(f.settings for f in told) and not verdict.fitted_here:
-        steps.insert(0, _configure(bag))
+        steps.insert(0, let_configure([bag]))
     return Answer(grade, _headline(verdict, trust, accuracy), wrong, [*accuracy, *_cost(outages)], steps,
                   trust_text(trust))
 
@@ -162,12 +162,6 @@ def _cost(outages: list[OutageResult]) -> list[str]:
                     f'outages; one in twenty is worse than {worst} m); its 95 % ellipse held the truth in '
                     f'{int(within.sum())} of {len(within)}')
     return said
-
-
-def _configure(bag: str) -> Step:
-    """What to do where the recording contradicts parameters; diagnose would refuse those that are certainly wrong."""
-    return Step('Let configure write a params file, or set by hand what is wrong:',
-                f'python -m mems_ins_fusion configure --bag {shlex.quote(bag)} --output configured.yaml')
 
 
 def _steps(grade: str, comparison: Comparison, best: str, values: dict, bag: str, params_file: str) -> list[Step]:

@@ -11,10 +11,10 @@ from . import html
 _LEFT_OUT = ('fitted_to',)
 
 
-def settings_table(values: Mapping, caption: str = '') -> html.Html:
-    """The parameters `values`, by name, each with its unit."""
+def settings_table(values: Mapping, caption: str = '', evidence: Mapping[str, str] | None = None) -> html.Html:
+    """The parameters `values`, by name, each with its unit, and with what it stands on where there is `evidence`."""
     known, rows = table.parameters_of(dict(values)), []
     for name in (name for name in values if name not in _LEFT_OUT):
         unit = known[name].shown_unit if name in known else ''
-        rows.append([name, f'{yaml_value(values[name])} {unit}'.rstrip()])
-    return html.table(['parameter', 'value'], rows, caption)
+        rows.append([name, f'{yaml_value(values[name])} {unit}'.rstrip(), *([evidence[name]] if evidence else [])])
+    return html.table(['parameter', 'value', *(['evidence'] if evidence else [])], rows, caption)

@@ -23,7 +23,8 @@ document.querySelectorAll('.track').forEach(function (root) {
     box.type = 'checkbox';
     box.checked = layer.shown;
     box.onchange = () => { layer.shown = box.checked; at = null; makeStrip(); draw(); };
-    swatch.style.background = layer.colour;
+    swatch.style.background = layer.dash && layer.dash.length
+      ? `repeating-linear-gradient(90deg, ${layer.colour} 0 5px, transparent 5px 8px)` : layer.colour;
     label.append(box, swatch, layer.name);
     root.querySelector('.layers').append(label);
   });

@@ -103,7 +103,7 @@ def trust_json(trust: Trust) -> dict:
 
 def trust_text(trust: Trust, which: str = '') -> str:
     """Whether sigmas can be trusted, in a sentence. which: of what filter, where that is not plain."""
-    said = {YES: 'yes', NO: 'no, its sigmas are too small', TOO_CAREFUL: 'its sigmas are larger than need be'}.get(
+    said = {YES: 'yes', NO: 'no, its sigmas are too small', TOO_CAREFUL: 'its sigmas are too large'}.get(
         trust.answer, 'cannot tell')
     evidence = [held_text(trust.shown)] if trust.shown and trust.answer != TOO_CAREFUL else []
     if trust.scale and (trust.answer in (NO, TOO_CAREFUL) or not evidence):
@@ -126,4 +126,4 @@ def held_text(held: Held) -> str:
 def scale_text(scale: Scale) -> str:
     """How large errors are by the sigmas."""
     where = 'with fixes' if scale.duration is None else f'in {scale.duration:g} s without fixes'
-    return f'{where} errors are {scale.value:.2g} times as large as it says ({scale.low:.2g} to {scale.high:.2g})'
+    return f'errors {where} are {scale.value:.2g} sigma RMS ({scale.low:.2g} to {scale.high:.2g}; 1 is right)'
