@@ -25,8 +25,6 @@ from .estimates import LATCHED, NO_EVENTS
 from .log import Log
 from .status import array, quantity_status
 
-#: s within which the process has to end
-_PATIENCE = 5.0
 #: why the diagnosis is behind, for messages
 _BUSY = 'the computer is busy, or diagnosis.share is too small'
 
@@ -176,12 +174,8 @@ class OnlineDiagnosis:
         return [quantity_status(self._name, quantity) for quantity in self._known]
 
     def close(self) -> None:
-        """End the process."""
+        """Have the process end. It is not waited for: it also ends by itself when this one has ended."""
         self._process.terminate()
-        try:
-            self._process.wait(_PATIENCE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
 
 
 def _without(dropped: set[str], quantities: list[Quantity]) -> list[Quantity]:
