@@ -660,6 +660,30 @@ def test_the_process_has_its_share_and_goes_when_its_parent_does(tmp_path):
             pass
 
 
+def test_a_process_that_does_not_get_its_share_is_not_stopped(tmp_path):
+    # given a process that gets a core for two thousandths of a second out of twenty, as on a busy machine
+    path = tmp_path / 'turns'
+    child = os.fork()
+    if not child:
+        waiting = os.fork()
+        if not waiting:
+            with open(path, 'wb', buffering=0) as turns:
+                while True:
+                    time.sleep(0.018)
+                    began = time.process_time()
+                    while time.process_time() < began + 0.002:
+                        pass
+                    turns.write(b'.')
+        os._exit(worker.supervise(waiting, 0.15, os.getppid()))
+    try:
+        time.sleep(4.0)
+        # then it had all of its turns, and not only those in a part of the time
+        assert path.stat().st_size > 60
+    finally:
+        os.kill(child, signal.SIGTERM)
+        os.waitpid(child, 0)
+
+
 def test_the_process_does_not_outlive_who_asked(tmp_path):
     # given one whose parent is not there any more, as after kill -9
     child = os.fork()
