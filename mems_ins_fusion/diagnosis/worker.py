@@ -19,8 +19,8 @@ import time
 
 #: s: long against a switch between processes, short against what a vehicle's computer is late by anyway
 PERIOD = 0.5
-#: niceness of the process that works: a tenth of the weight of the node. With 19, a hundredth, it had 1 % of a core at a
-#: load of 11 to 23 where 10 had 2 %, and the node the same latency (10.8 and 10.0 ms, median)
+#: niceness of the process that works: a tenth of the weight of the node. With 19, a hundredth, it had 1 % of a core at
+#: a load of 11 to 23 where 10 had 2 %, and the node the same latency (10.8 and 10.0 ms, median)
 NICE = 10
 #: s between two looks at the CPU time used: PERIOD holds ten
 STEP = 0.05
