@@ -305,8 +305,9 @@ def test_a_new_filter_begins_where_the_present_one_is(late):
 
 def of_chunks(recording, answers, monkeypatch, kept=()):
     """The state after each chunk, where the analyses find what `answers` has, one after the other."""
-    monkeypatch.setattr(online, 'FIRST', CHUNK)
-    monkeypatch.setattr(online, 'LATEST', 2 * CHUNK)
+    monkeypatch.setattr(online, 'FIRST', 2 * CHUNK)
+    monkeypatch.setattr(online, 'LATEST', 4 * CHUNK)
+    monkeypatch.setattr(online, 'ANALYSIS', CHUNK)
     asked = iter(answers)
     work = Online({**APPLY, 'diagnosis.window': 300.0}, lambda part, values: next(asked, []), blind, kept)
     return [({q.name: (q.state, q.applied) for q in work.take(chunk)}, work.sets) for chunk in chunks(recording)], work
@@ -316,7 +317,7 @@ def test_what_is_proven_is_applied_and_the_fixes_are_met(late, monkeypatch):
     said, work = of_chunks(late, [[finding()]], monkeypatch)
     first = next(k for k, (_, sets) in enumerate(said) if sets)
     # then it is on trial, then drives, and goes on to be better than the filter without it
-    assert said[0][0] == {NAME: (COARSE, False)} and 1 <= first <= 7
+    assert said[1][0] == {NAME: (COARSE, False)} and 2 <= first <= 15
     assert all(states == {NAME: (FINE, True)} and sets == {'gnss.time_offset': OFFSET} for states, sets in said[first:])
     # and the errors of who drives so are those of the right parameters at the end
     truth = late.reference
@@ -341,7 +342,7 @@ def test_what_is_not_true_any_more_is_taken_back_and_another_value_takes_its_pla
     said, work = of_chunks(drive(end=0.5), [[finding()]], monkeypatch)
     first = next(k for k, (_, sets) in enumerate(said) if sets)
     gone = next(k for k, (_, sets) in enumerate(said) if k > first and not sets)
-    assert 8 <= gone <= 13 and said[gone][0][NAME] == (SUSPECT, False) and not said[-1][1]
+    assert 16 <= gone <= 27 and said[gone][0][NAME] == (SUSPECT, False) and not said[-1][1]
     # given one that comes to another value, which an analysis of the last minutes finds: what is left
     both = drive(end=0.5)
     gnss = both.gnss
@@ -352,7 +353,7 @@ def test_what_is_not_true_any_more_is_taken_back_and_another_value_takes_its_pla
     said, work = of_chunks(both, answers, monkeypatch)
     names = [states for states, _ in said if f'{NAME}{OTHER}' in states]
     assert all(states[NAME] == (SUSPECT, True) for states in names)
-    assert said[-1][1] in ({'gnss.time_offset': -OFFSET}, {}) and said[6][1] == {'gnss.time_offset': OFFSET}
+    assert said[-1][1] in ({'gnss.time_offset': -OFFSET}, {}) and said[13][1] == {'gnss.time_offset': OFFSET}
 
 
 def test_what_has_become_wrong_is_dropped_within_a_minute(monkeypatch):

@@ -1,10 +1,15 @@
-"""What has been found while driving and drives, over real ROS 2: the bits of a replay, and nothing lost by kill -9."""
+"""What has been found while driving and drives, over real ROS 2: the bits of a replay, nothing lost by kill -9, and a
+quick end."""
 from __future__ import annotations
 
 import json
 import math
+import os
+import resource
 import signal
+import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -61,6 +66,52 @@ def test_what_was_found_on_another_device_is_not_used(recording, kept, tmp_path)
         node.send(signal.SIGINT)
         assert node.wait() == 0
     peer.close()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_node_and_diagnosis_with_little_work_and_the_state_in_the_file(recording, kept, number, tmp_path):
+    path, peer = tmp_path / 'state.json', Peer()
+    assert StateFile(path, 1.0, 1.0).write(HERE, [kept], SENSORS) is None
+    part = recording.having({name: samples.select(samples.stamp < recording.imu.stamp[0] + 62 * SECOND)
+                             for name, samples in recording.streams().items()})
+    # given a node that has driven for a minute, so that its diagnosis has something to do
+    with NodeProcess('fusion_node', *PLAYABLE, '-p', 'diagnosis.online:=apply', '-p', f'state_file:={path}') as node:
+        node.wait_until_ready()
+        peer.connect(node, part)
+        peer.play(node, part)
+        child, = subprocess.run(['pgrep', '-P', str(node.pid)], capture_output=True, text=True).stdout.split()
+        worker, = subprocess.run(['pgrep', '-P', child], capture_output=True, text=True).stdout.split()
+        others, before = children_seconds(), seconds_of(node.pid)
+        path.unlink()
+        # when a signal comes
+        node.send(number)
+        assert node.wait() == 0
+    # then its end takes so little of a core that a busy one has it, too,
+    assert children_seconds() - others - before < 0.4
+    # the state is in the file, and the processes of the diagnosis are gone
+    assert of_file(path) == {NAME: {'gnss.time_offset': OFFSET}} and json.loads(path.read_text())['filter']
+    peer.spin_until(lambda: not any(is_running(pid) for pid in (child, worker)))
+    peer.close()
+
+
+def children_seconds() -> float:
+    """CPU time of the ended children of this process, s."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def seconds_of(pid) -> float:
+    """CPU time of a process so far, s."""
+    ticks = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[11:13]
+    return sum(map(int, ticks)) / os.sysconf('SC_CLK_TCK')
+
+
+def is_running(pid) -> bool:
+    """Whether the process is there and has not ended."""
+    try:
+        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] != 'Z'
+    except (FileNotFoundError, ProcessLookupError):
+        return False
 
 
 def test_what_a_user_accepts_and_rejects_outlasts_a_kill_at_once(tmp_path):

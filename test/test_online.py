@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -293,12 +294,12 @@ def same(a, b):
 
 def test_live_has_the_chunks_of_the_recording(drive):
     replayed, live = list(chunks(drive)), given_live(drive)
-    assert len(replayed) == len(live) == 11
+    assert len(replayed) == len(live) == 22
     for a, b in zip(replayed, live):
         same(a, b)
         assert CHUNK - 0.2 < (a.imu.stamp[-1] - a.imu.stamp[0]) / SECOND < CHUNK
     # and nothing is lost between them
-    assert np.array_equal(np.concatenate([c.imu.stamp for c in replayed]), drive.imu.stamp[:11 * 1200])
+    assert np.array_equal(np.concatenate([c.imu.stamp for c in replayed]), drive.imu.stamp[:22 * 600])
     fixes = np.concatenate([c.gnss.stamp for c in replayed])
     assert np.array_equal(fixes, drive.gnss.stamp[:len(fixes)]) and len(fixes) >= 22 * 60 - 3
 
@@ -311,7 +312,7 @@ def test_wild_samples_cost_nothing(drive):
     stamp[2000] += 3600 * SECOND
     wild = replace(drive, imu=replace(imu, stamp=stamp, specific_force=force))
     replayed, live = list(chunks(wild)), given_live(wild)
-    assert len(replayed) == len(live) == 12
+    assert len(replayed) == len(live) == 23
     for a, b in zip(replayed, live):
         same(a, b)
     # then the chunk that it cuts goes on behind it
@@ -333,6 +334,7 @@ def followed(drive, answers, window=240.0):
 def test_a_finding_is_proven_on_what_comes_after(drive, monkeypatch):
     # given analyses of which the second finds what there is, and something that is not
     monkeypatch.setattr(online, 'FIRST', CHUNK)
+    monkeypatch.setattr(online, 'ANALYSIS', CHUNK)
     monkeypatch.setattr(online, 'FALSE_ALARMS', 0.1)  # less is needed, of a short drive
     wrong = replace(finding(-0.3), name='gnss_latency', changes={'gnss.time_offset': -0.3})
     said, work = followed(drive, [[], [finding(), wrong], [finding(), wrong], [finding()], [finding()]])
@@ -346,7 +348,7 @@ def test_a_finding_is_proven_on_what_comes_after(drive, monkeypatch):
     for duration, (without, with_it, count) in told.better.items():
         assert with_it < 0.6 * without and count >= 5, duration
     # the outages were all after the analysis, and did not overlap
-    assert len(work.trials['gnss_time_offset'].errors[10.0]) <= 9 * 6
+    assert len(work.trials['gnss_time_offset'].errors[10.0]) <= (len(said) - 2) * 3
 
 
 def test_what_the_last_minute_shows_is_not_suspect_for_being_young(drive):
@@ -361,9 +363,9 @@ def test_what_the_last_minute_shows_is_not_suspect_for_being_young(drive):
 
 
 def test_a_result_counts_with_the_same_chunk_whenever_it_is_there(drive, monkeypatch):
-    # given a third of a core, so that an analysis may take two chunks more than its own
+    # given 0.6 of a core, so that an analysis may take three chunks more than its own
     monkeypatch.setattr(online, 'FIRST', 2 * CHUNK)
-    settings, asked = table.check({'diagnosis.share': 0.33}), []
+    settings, asked = table.check({'diagnosis.share': 0.6}), []
 
     def find(recording, values):
         asked.append(recording)
@@ -380,7 +382,7 @@ def test_a_result_counts_with_the_same_chunk_whenever_it_is_there(drive, monkeyp
     assert said(lambda work: None) == expected and len(asked) == 1
     assert said(Online.analyse) == expected and len(asked) == 2
     # and it is of the first two
-    assert all(np.array_equal(part.imu.stamp, drive.imu.stamp[:2 * 1200]) for part in asked)
+    assert all(np.array_equal(part.imu.stamp, drive.imu.stamp[:2 * 600]) for part in asked)
 
 
 def test_an_analysis_of_other_parameters_than_drive_now_is_abandoned(drive, monkeypatch):
@@ -432,7 +434,7 @@ def test_no_chunk_waits_for_an_analysis(drive, monkeypatch):
         behind.append(len(answers()))
         return [finding()]
     monkeypatch.setattr(online, 'found', found)
-    for one in ((table.check({'diagnosis.share': 0.33}), []), *((chunk, []) for chunk in list(chunks(drive))[:5])):
+    for one in ((table.check({'diagnosis.share': 0.6}), []), *((chunk, []) for chunk in list(chunks(drive))[:5])):
         pickle.dump(one, source)
     source.seek(0)
     # when all chunks are there
@@ -523,6 +525,44 @@ def test_outages_within_which_the_errors_of_fixes_last_prove_no_colour_of_them(d
     assert counted == {'gnss_coloured_noise': [10.0, 30.0], NAME: list(OUTAGES)}
 
 
+@pytest.mark.parametrize('rate', [1.0, 4.0])
+def test_outages_of_one_chunk_after_another_join_and_judge_what_is_new(rate):
+    # given fixes whose intervals are not that regular, in chunks
+    rng, second = np.random.default_rng(3), np.arange(0.0, 200.0, 1.0 / rate)
+    stamp = ((second + rng.uniform(0.0, 0.02, len(second))) * SECOND).astype(np.int64)
+    imu = np.arange(0, 200 * SECOND, SECOND // 20)
+
+    def until(end, since=0.0):
+        """Stamps of samples and fixes of a part of the drive, s."""
+        return SimpleNamespace(**{name: SimpleNamespace(stamp=of[(of >= since * SECOND) & (of < end * SECOND)])
+                                  for name, of in (('imu', imu), ('gnss', stamp))})
+    for duration in OUTAGES:
+        length, begins = round(duration * SECOND), []
+        for end in np.arange(2 * CHUNK, 200.0, CHUNK):
+            mine = sorted({*trial_outages._begins(until(end), until(end, end - CHUNK), duration)})
+            # then each chunk has as many as it can have, of those no longer than an interval of the fixes half,
+            least = 0.5 if duration * rate == 1.0 else 1.0
+            assert least * CHUNK / duration - 1.0 <= len(mine) <= CHUNK / duration + 1.0 and len(mine) >= 1
+            # and what is judged of them is of the chunk, and a second before its end the latest
+            assert all(one + 0.7 * length > (end - CHUNK) * SECOND - 1 for one in mine)
+            assert mine[-1] + length <= (end - 1.0) * SECOND
+            begins += mine
+        # and they overlap by no more than an interval of the fixes
+        assert np.diff(begins).min() >= length - 1.1 * SECOND / rate
+
+
+def test_a_look_is_taken_after_each_chunk_at_first_and_each_minute_later(drive):
+    begin, looks = drive.imu.stamp[0], []
+
+    def look(recording, values):
+        looks.append(round((recording.imu.stamp[-1] - begin) / SECOND))
+        return []
+    work = Online(table.check({}), blind, look)
+    for chunk in chunks(drive):
+        work.take(chunk)
+    assert looks == [30, 60, 90, 120, 150, 180, 210, 240, 300, 360, 420, 480, 540, 600, 660]
+
+
 def test_filters_on_trial_begin_with_what_shows_the_finding(drive, monkeypatch):
     # given two findings on trial in the sixth minute, one of the whole drive, and one that the last minute alone shows
     begins = {}
@@ -531,18 +571,18 @@ def test_filters_on_trial_begin_with_what_shows_the_finding(drive, monkeypatch):
         begins.setdefault(values['gnss.time_offset'], set()).add((int(part.imu.stamp[0]), int(part.gnss.stamp[0])))
         return {duration: {} for duration in OUTAGES}
     monkeypatch.setattr(trial_outages, 'predicted', predicted)
-    several = list(chunks(drive))[:6]
+    several = list(chunks(drive))[:12]
     work = Online(table.check({}), blind, blind)
-    for chunk in several[:5]:
+    for chunk in several[:11]:
         work.take(chunk)
     work.trials = {str(value): Trial(replace(finding(value), since=since), finding(value).changes, 1e3, taken=1)
-                   for value, since in ((0.1, 0), (0.2, int(several[4].imu.stamp[0])))}
-    work.take(several[5])
+                   for value, since in ((0.1, 0), (0.2, int(several[10].imu.stamp[0])))}
+    work.take(several[11])
     # then the filters of the second, with it and without it, have seen nothing from before that
-    assert [begin for begin, _ in begins[0.2]] == [int(several[4].imu.stamp[0])]
+    assert [begin for begin, _ in begins[0.2]] == [int(several[10].imu.stamp[0])]
     assert all(fix >= begin for pairs in begins.values() for begin, fix in pairs)
-    settled = int(several[5].imu.stamp[-1] - several[5].imu.stamp[0]) + round(trial_outages.SETTLING * SECOND)
-    long_ago = int(several[5].imu.stamp[-1]) - settled
+    settled = int(several[11].imu.stamp[-1] - several[11].imu.stamp[0]) + round(trial_outages.SETTLING * SECOND)
+    long_ago = int(several[11].imu.stamp[-1]) - settled
     assert [begin for begin, _ in begins[0.1]] == [pytest.approx(long_ago, abs=SECOND)]
     assert {begin for begin, _ in begins[0.0]} == {begin for value in (0.1, 0.2) for begin, _ in begins[value]}
 
@@ -562,7 +602,7 @@ def test_a_mounting_that_the_filter_finds_out_itself_is_proven(monkeypatch):
         work = Online(table.check({'imu.mounting_rpy': [0.0, 0.0, declared]}), blind,
                       lambda part, values: [one] if not work.trials else [])
         return [work.take(chunk)[0].state for chunk in chunks(recording)]
-    # then it is proven within four minutes, though filters that estimate it predict the same with either,
+    # then it is proven within two and a half minutes, though filters that estimate it predict the same with either,
     assert FINE in states(turn, 0.0)[:5]
     # and a wrong one is not
     assert FINE not in states(0.0, turn)
@@ -570,6 +610,7 @@ def test_a_mounting_that_the_filter_finds_out_itself_is_proven(monkeypatch):
 
 def test_a_value_that_has_changed_begins_anew(monkeypatch, drive):
     monkeypatch.setattr(online, 'FIRST', CHUNK)
+    monkeypatch.setattr(online, 'ANALYSIS', CHUNK)
     said, work = followed(drive, [[finding(0.1)], [finding(0.12)], [finding()], [], []])
     needed = [(np.pi * k) ** 2 / (6 * FALSE_ALARMS) for k in (1, 2)]
     assert said[1][0].sets == ('gnss.time_offset: 0.1',)  # not apart from what is on trial
@@ -582,6 +623,7 @@ def test_a_value_that_has_changed_begins_anew(monkeypatch, drive):
 def test_a_value_that_is_better_known_goes_on_with_the_same_test(monkeypatch, drive):
     # given a value on trial, and later one that agrees with half of its sigma
     monkeypatch.setattr(online, 'FIRST', CHUNK)
+    monkeypatch.setattr(online, 'ANALYSIS', CHUNK)
     said, work = followed(drive, [[finding(0.1)], [finding(0.12, 0.01)], [], [], []])
     # then that is told and on trial from then on, as the first trial
     assert [one[0].sets for one in said[:3]] == [('gnss.time_offset: 0.1',), *[('gnss.time_offset: 0.12',)] * 2]
@@ -618,6 +660,30 @@ def test_the_process_has_its_share_and_goes_when_its_parent_does(tmp_path):
             pass
 
 
+def test_a_process_that_does_not_get_its_share_is_not_stopped(tmp_path):
+    # given a process that gets a core for two thousandths of a second out of twenty, as on a busy machine
+    path = tmp_path / 'turns'
+    child = os.fork()
+    if not child:
+        waiting = os.fork()
+        if not waiting:
+            with open(path, 'wb', buffering=0) as turns:
+                while True:
+                    time.sleep(0.018)
+                    began = time.process_time()
+                    while time.process_time() < began + 0.002:
+                        pass
+                    turns.write(b'.')
+        os._exit(worker.supervise(waiting, 0.15, os.getppid()))
+    try:
+        time.sleep(4.0)
+        # then it had all of its turns, and not only those in a part of the time
+        assert path.stat().st_size > 60
+    finally:
+        os.kill(child, signal.SIGTERM)
+        os.waitpid(child, 0)
+
+
 def test_the_process_does_not_outlive_who_asked(tmp_path):
     # given one whose parent is not there any more, as after kill -9
     child = os.fork()
@@ -650,12 +716,12 @@ def test_the_node_tells_it_as_the_replay_does(drive, peer):
         heard, player = Diagnostics(peer), Player(peer, node, recording)
         player.connect()
         player.play(70.0)
-        peer.spin_until(lambda: told)
-        # the first look is after a minute, and shows the offset
-        assert told[0].status[0].name == 'fusion_node: calibration: gnss_time_offset'
-        assert told[0].status[0].message.startswith(COARSE)
+        peer.spin_until(lambda: len(told) >= 2)
+        # the second look is after a minute, and shows the offset
+        assert told[1].status[0].name == 'fusion_node: calibration: gnss_time_offset'
+        assert told[1].status[0].message.startswith(COARSE)
         player.play()
-        peer.spin_until(lambda: len(told) >= 3)
+        peer.spin_until(lambda: len(told) >= 6)
         # then what it says after each chunk is what a replay says, and on /diagnostics
         expected = Online(table.check(settings))
         for message, chunk in zip(told, chunks(recording)):

@@ -18,8 +18,8 @@ from .quantity import Findings
 if TYPE_CHECKING:  # it brings all of `diagnose`, which a node has no use for
     from .watch import Watch
 
-#: chunks after its own with whose end the answer to a chunk counts: what an analysis takes at the default share.
-#: Counted in chunks, not by the clock, so that a replay does the same at the same sample
+#: chunks after its own with whose end the answer to a chunk counts. An answer takes 1 to 3 s of a core at 100 Hz, 10 to
+#: 30 s at the default share. Counted in chunks, not by the clock, so that a replay does the same at the same sample
 WAIT = 1
 
 

@@ -1,8 +1,8 @@
 """What the latest minutes show without a filter of time offsets, antenna and mounting, as findings to be proven.
 
 The estimates are those of `configure`; a look at some minutes takes half a second of work, where an analysis of them by
-`diagnose` takes half a minute. So it can be had each minute, of the latest one alone too: a value that has changed
-shows before it is most of what is kept.
+`diagnose` takes half a minute. So it can be had each minute or sooner, of the latest one alone too: a value that has
+changed shows before it is most of what is kept.
 """
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from ..filter.measurements.registry import AIDING
 from ..samples import Fixes, ImuSamples, Recording
 
 #: s of samples, of a chunk
-CHUNK = 60.0
+CHUNK = 30.0
 _CHUNK = round(CHUNK * 1e9)  # ns
 #: ns: stamps that jump by more are of another drive
 JUMP = 10 * 10**9

@@ -46,9 +46,11 @@ FIRST = 120.0
 MORE = 0.5
 #: s: the latest samples are analysed as often, and as many of them: a change shows there first
 LATEST = 240.0
+#: s of samples from one look to the next where more than LATEST are kept; else there is one after each chunk
+LOOKED = 60.0
 #: s without fixes, that the analyses judge by
 ANALYSED = (10.0, 30.0)
-#: s of a core that an analysis takes at most, beside what a minute takes anyway: 10 to 30 of some minutes at 100 Hz.
+#: s of a core that an analysis takes at most, beside what the chunks take anyway: 10 to 30 of some minutes at 100 Hz.
 #: With diagnosis.share of it that is the time after which its result counts, live and in a replay
 ANALYSIS = 60.0
 #: probability that anything is called FINE by chance, in all the time that a filter runs: of the k-th trial it is
@@ -58,6 +60,8 @@ FALSE_ALARMS = 0.01
 OTHER = ', another value'
 #: s: a chunk that is shorter is of samples with wild stamps
 SHORTEST = 1.0
+#: s of samples before a trial whose outages show for how long errors last
+SEEN = 60.0
 #: part of the samples before an analysis that are there: the first stamp of a chunk is not the last of the one before
 NEARLY = 0.99
 
@@ -89,7 +93,7 @@ class Online:
     """The diagnosis of a vehicle whose filter has the checked parameters `values`.
 
     find: an analysis, recording and parameters to findings; by default what `diagnose` would add. look: the same
-    without a filter, each minute; by default `shown_directly`. kept: what an earlier drive has proven; it drives, and
+    without a filter, each LOOKED s; by default `shown_directly`. kept: what an earlier drive has proven; it drives, and
     is SUSPECT until it is proven again.
 
     An analysis takes longer than the chunks wait for: its result counts with the answer to a later chunk, the same one
@@ -105,7 +109,8 @@ class Online:
         self._analysis: Analysis | None = None  # which has begun, and whose result does not count yet
         self._doing: Analysis | None = None
         self._window: Recording | None = None
-        self._since = self._lately = 0.0  # s of samples since the last analysis, and the last one of the latest ones
+        # s of samples since the last analysis, the last one of the latest ones, and the last look
+        self._since = self._lately = self._unseen = 0.0
         self.trials: dict[str, Trial] = {}  # of what is not applied
         self.applied: dict[str, Trial] = {}
         self.begun = self._analyses = self._begins = 0  # trials, analyses; ns, the first stamp
@@ -162,7 +167,8 @@ class Online:
             self._begin_anew_since(gone)
         elif before is not None:
             self._try(chunk, before)
-        shown = self._look(self._window, {**self._values, **self.sets})
+        self._unseen += seconds(chunk)
+        shown = self._looked() if self._unseen >= NEARLY * self._between else []
         for finding in shown:
             self._put_on_trial(finding, latest=True, again=False)
         self._begin_analysis()
@@ -173,6 +179,16 @@ class Online:
         for name, trial in self.applied.items():
             trial.seen = name not in self.trials or self.trials[name].rejected
         return self.quantities()
+
+    @property
+    def _between(self) -> float:
+        """s of samples from one look to the next."""
+        return CHUNK if seconds(self._window) <= LATEST else LOOKED
+
+    def _looked(self) -> list[Finding]:
+        """What a look at the latest samples shows."""
+        self._unseen = 0.0
+        return self._look(self._window, {**self._values, **self.sets})
 
     def _begin_analysis(self) -> None:
         """Begin one where one is due, of the latest samples or of all that is kept, whichever has waited longer as a
@@ -271,7 +287,7 @@ class Online:
         compared += [(trial, {**self._values, **self._sets(without=name)}, values)
                      for name, trial in self.applied.items()]
         for trial, *both in compared:
-            latest = cut(before, CHUNK)
+            latest = cut(before, SEEN)
             if not trial.taken and len(latest.gnss):  # for how long errors last, before anything is staked
                 trial.see(_outages(trial, both, before, latest, {}))
             trial.take(_outages(trial, both, self._window, chunk, known), self._now)

@@ -18,6 +18,9 @@ SETTLING = 180.0
 OUTAGES = (1.0, 5.0, 10.0, 30.0)
 #: part of an outage at whose end the fixes are compared with the prediction: their mean
 JUDGED = 0.3
+#: s before the end of a chunk at which its last outages end: fixes may be stamped that much before their time, which is
+#: gnss.time_offset, and the filter has no samples beyond the chunk
+EARLY = 1.0
 #: m that have to be driven in an outage that says something
 DRIVEN = 20.0
 #: m/s, the same of a short one
@@ -26,23 +29,32 @@ SLOWEST = 4.0
 
 def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, dict[int, tuple[Place, float]]]:
     """By duration and begin (ns, as fixes are stamped): how far the filter with `values` is from the fixes at the end
-    of an outage, m, and the distance driven. Outages begin and end in `chunk`, at the end of `part`, and do not
+    of an outage, m, and the distance driven. What is judged is in `chunk`, at the end of `part`. Outages do not
     overlap."""
     delay = round(values['gnss.time_offset'] * 1e9)
     config, truth = FilterConfig.from_parameters(values), truth_of(part, values)
     keep = samples_to_keep(part.imu, truth.reference.stamp)
-    first, last = (int(chunk.gnss.stamp[i]) for i in (0, -1))
-    stamps, longest = np.unique(part.gnss.stamp), {}
+    longest: dict[int, float] = {}
     for duration in OUTAGES:  # ascending; a longer one begins where shorter ones begin, so that one run has them all
-        length = round(duration * 1e9)
-        begin = np.arange(first, last - length + 1, length)
-        longest |= dict.fromkeys(stamps[np.searchsorted(stamps, begin)].tolist(), duration)
+        longest |= dict.fromkeys(_begins(part, chunk, duration), duration)
     begin = np.array(sorted(longest), dtype=np.int64)
     outages = run_outages(config, part.imu, part.gnss, truth, OUTAGES, begin - delay, aiding_of(part), keep,
                           np.array([longest[b] for b in begin.tolist()]))
     return {one.duration: {b + delay: (_misfit(errors, b + round((1.0 - JUDGED) * one.duration * 1e9)), distance) for
                            b, errors, distance in zip(one.begin.tolist(), one.errors, one.distance)}
             for one in outages}
+
+
+def _begins(part: Recording, chunk: Recording, duration: float) -> list[int]:
+    """Stamps of the fixes, ns, at which outages of `duration` s begin. They follow each other from EARLY before the
+    begin of `chunk` to EARLY before its end. Fixes from before `chunk` are not judged."""
+    stamp, length = np.unique(part.gnss.stamp), round(duration * 1e9)
+    begin, end = (int(chunk.imu.stamp[i]) - round(EARLY * 1e9) for i in (0, -1))
+    last, old = (stamp[np.maximum(np.searchsorted(stamp, time, side='right') - [1, 2], 0)] for time in (end, begin))
+    # the interval from one fix to the next varies: an outage as long as a chunk begins one fix earlier if necessary
+    wanted = np.arange(last[0] - length, old[1] - 1, -length)
+    begins = stamp[np.maximum(np.searchsorted(stamp, wanted, side='right') - 1, 0)]
+    return [b for b in begins.tolist() if b + (1.0 - JUDGED) * length >= chunk.gnss.stamp[0]]
 
 
 class Predictions:

@@ -3,9 +3,9 @@
 Arguments: share of a core, pid of who wants to know. Pickles on standard input: parameters and what is kept of earlier
 drives, then chunks, each with what the filter has dropped in it, or the name of what a user asks for (accept, reject,
 reset); on standard output: what is known after each (with something kept, also before the first one), the findings that
-the filters should have, and whether it was a chunk. A second process works, at the lowest priority and with one thread;
-the first one lets it run for that share of each PERIOD and stops it for the rest, and ends it when its own parent has
-gone, however that went. Nothing heavy is imported before there are two.
+the filters should have, and whether it was a chunk. A second process works, at a low priority and with one thread;
+the first one stops it for the rest of each PERIOD in which it has used that share of CPU time, and ends it when its own
+parent has gone, however that went. Nothing heavy is imported before there are two.
 """
 from __future__ import annotations
 
@@ -19,6 +19,11 @@ import time
 
 #: s: long against a switch between processes, short against what a vehicle's computer is late by anyway
 PERIOD = 0.5
+#: niceness of the process that works: a tenth of the weight of the node. With 19, a hundredth, it had 1 % of a core at
+#: a load of 11 to 23 where 10 had 2 %, and the node the same latency (10.8 and 10.0 ms, median)
+NICE = 10
+#: s between two looks at the CPU time used: PERIOD holds ten
+STEP = 0.05
 
 
 def supervise(worker: int, share: float, parent: int) -> int:
@@ -27,6 +32,7 @@ def supervise(worker: int, share: float, parent: int) -> int:
         os.kill(worker, signal.SIGKILL)
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    left, used = 0.0, _seconds_of(worker)  # s of CPU time: what it may use in this period, and what it has used so far
     while True:
         ended, status = os.waitpid(worker, os.WNOHANG)
         if ended:
@@ -36,16 +42,30 @@ def supervise(worker: int, share: float, parent: int) -> int:
         if share >= 1.0:
             time.sleep(PERIOD)
             continue
-        os.kill(worker, signal.SIGCONT)
-        time.sleep(share * PERIOD)
-        os.kill(worker, signal.SIGSTOP)
-        time.sleep((1.0 - share) * PERIOD)
+        left, over = min(left, 0.0) + share * PERIOD, time.monotonic() + PERIOD
+        while left > 0.0 and (rest := over - time.monotonic()) > 0.0:
+            os.kill(worker, signal.SIGCONT)
+            time.sleep(min(max(left, STEP), rest))
+            before, used = used, _seconds_of(worker)
+            left -= used - before
+        if left <= 0.0:
+            os.kill(worker, signal.SIGSTOP)
+        time.sleep(max(over - time.monotonic(), 0.0))
+
+
+def _seconds_of(process: int) -> float:
+    """CPU time of a process so far, s; 0 of one that is not there."""
+    try:
+        with open(f'/proc/{process}/stat') as file:
+            return sum(map(int, file.read().rpartition(')')[2].split()[11:13])) / os.sysconf('SC_CLK_TCK')
+    except (FileNotFoundError, ProcessLookupError):
+        return 0.0
 
 
 def work(source, sink) -> None:
     """Chunks and words from `source` and what is known to `sink`, files, until the first ends. An analysis goes on
     between them: no chunk waits for it whose answer does not need its result."""
-    os.nice(19)
+    os.nice(NICE)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     from .online import Abandoned, Online, found
 

@@ -42,7 +42,7 @@ from .monitor import PERIOD, Monitor
 from .online import OnlineDiagnosis
 from .output import tf_message
 from .ros_parameters import declare, refuse_unused_qos_overrides
-from .run import Stop, run, spin
+from .run import Stop, serve, spin
 from .state_file import StateFile
 from .status import BEFORE_START
 from .verdicts import Verdicts
@@ -113,10 +113,10 @@ class FusionNode(Node):
         self.get_logger().info(self._ready)
         try:
             spin(self, stop)
+            self._save_if_asked()
         finally:
             if self._online:
                 self._online.close()
-        self._save_if_asked()
 
     def report(self) -> None:
         """Log and publish what the filter has to say since the last time."""
@@ -426,4 +426,4 @@ class FusionNode(Node):
 
 def main(argv: list[str]) -> int:
     """Run the node until SIGINT or SIGTERM; the exit status."""
-    return run(NAME, FusionNode, argv, FusionNode.serve, (FILTER, FUSION))
+    return serve(NAME, FusionNode, argv, FusionNode.serve, (FILTER, FUSION))

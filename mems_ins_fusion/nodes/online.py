@@ -20,13 +20,10 @@ from ..diagnosis.gathering import CHUNK, Gathering
 from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Findings, Kept, Quantity
 from ..filter.measurements.registry import aiding
 from ..filter.runs.changing import Dropped
-from ..recordings.findings import count_of
 from .estimates import LATCHED, NO_EVENTS
 from .log import Log
 from .status import array, quantity_status
 
-#: s within which the process has to end
-_PATIENCE = 5.0
 #: why the diagnosis is behind, for messages
 _BUSY = 'the computer is busy, or diagnosis.share is too small'
 
@@ -71,14 +68,15 @@ class OnlineDiagnosis:
             return findings
         findings = self._due.at_end_of_chunk()
         if self._due.late:
-            self._log.say('info', f'diagnosis.online: {count_of(self._due.late, "minute")} behind the drive: {_BUSY}. '
+            self._log.say('info', f'diagnosis.online: {self._due.late * CHUNK:.0f} s behind the drive: {_BUSY}. '
                                   'Findings are reported and applied this much later')
         try:
             self._chunks.put_nowait((chunk, self._dropped))
             self._dropped = []
             self._due.handed()
         except Full:
-            self._log.say('warning', f'diagnosis.online: too far behind: {_BUSY}. A minute of samples is left out')
+            self._log.say('warning', f'diagnosis.online: too far behind: {_BUSY}. {CHUNK:.0f} s of samples are left '
+                                     'out')
         return findings
 
     def add_fix(self, fix: tuple) -> None:
@@ -176,12 +174,8 @@ class OnlineDiagnosis:
         return [quantity_status(self._name, quantity) for quantity in self._known]
 
     def close(self) -> None:
-        """End the process."""
+        """Have the process end. It is not waited for: it also ends by itself when this one has ended."""
         self._process.terminate()
-        try:
-            self._process.wait(_PATIENCE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
 
 
 def _without(dropped: set[str], quantities: list[Quantity]) -> list[Quantity]:
