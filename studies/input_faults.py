@@ -1,6 +1,6 @@
 """What faults of the further inputs cost: each input missing, late, wrong, doubled and dead, with fixes and without.
 
-    python studies/input_faults.py [--seeds 6] [--rate 1] [--only TEXT,TEXT] [--set NAME=VALUE ...] [--output FILE.md]
+    python studies/input_faults.py [--seeds 6] [--rate 1] [--input-rate 10] [--only TEXT,TEXT] [--output FILE.md]
 
 The drives of faults.py with one input more: speed, velocity, odometry, poses of a lidar, heading, pressure,
 magnetometer, a second receiver 1.6 m behind the first or a second IMU. The fault lasts for a minute from 200 s on. Each
@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -57,10 +57,10 @@ _VALUES = {'rear': ('latitude', 'longitude', 'height'), 'heading': ('yaw',),
 
 
 @cache
-def clean(seed: int, rate: float) -> Recording:
-    """A realistic drive with all inputs."""
-    aided = Aiding(speed_rate=10.0, velocity_rate=rate, twist_rate=20.0, heading_rate=5.0, pressure_rate=10.0,
-                   magnetometer_rate=20.0, fix_rate=rate, fix_sigma=1.5)
+def clean(seed: int, rate: float, input_rate: float = 10.0) -> Recording:
+    """A realistic drive with all inputs. input_rate: of wheel speed and odometry, Hz."""
+    aided = Aiding(speed_rate=input_rate, velocity_rate=rate, twist_rate=input_rate, heading_rate=5.0,
+                   pressure_rate=10.0, magnetometer_rate=20.0, fix_rate=rate, fix_sigma=1.5)
     named = [one for values in (REAR, LIDAR) for one in aiding(table.check(values)) if not one.is_plain]
     recording = simulate_recording(drive_of(seed, MINUTES), sensors(), GnssNoise(1.5, rate=rate), seed=seed,
                                    **{**REALISTIC.distortions(seed), 'aiding': aided, 'named': named}).recording
@@ -130,6 +130,7 @@ def main() -> None:
     parser.add_argument('--seeds', type=int, default=6)
     parser.add_argument('--first-seed', type=int, default=2001)
     parser.add_argument('--rate', type=float, default=1.0, help='of the fixes, Hz')
+    parser.add_argument('--input-rate', type=float, default=10.0, help='of wheel speed and odometry, Hz')
     parser.add_argument('--only', default='', help='faults with one of these in their name, separated by commas')
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE', help='parameters')
     parser.add_argument('--output', type=Path)
@@ -140,8 +141,9 @@ def main() -> None:
     print(*lines, sep='\n')
     for fault in FAULTS:
         if any(part in fault.name for part in options.only.split(',')):
-            lines.append(row(fault, [judged(fault, seed, options.rate, given, clean) for seed in range(
-                options.first_seed, options.first_seed + options.seeds)]))
+            lines.append(row(fault, [judged(fault, seed, options.rate, given, partial(
+                clean, input_rate=options.input_rate)) for seed in range(
+                    options.first_seed, options.first_seed + options.seeds)]))
             print(lines[-1], flush=True)
     if options.output:
         options.output.write_text('\n'.join(lines) + '\n')

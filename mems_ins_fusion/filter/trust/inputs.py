@@ -71,57 +71,24 @@ def factor_and_limits(mem, r, at, n, dimensions):
     """Factor on the covariance of the input at `at`, learned from its innovation, too; how many of it tell no more than
     one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components that are judged together, 1
     or 2.
-
-    One that does not fit is wrong, or the state is. What its variance is raised by, that of the state is raised by,
-    too, along what is measured, unless fixes speak for the state, as they do for its velocity: so a filter that is sure
-    of something wrong comes to where both agree, and the other measurements decide.
     """
-    p, kind = int(mem[Head.SCRATCH_AT]), int(mem[at + Event.KIND])
-    h, own = p + n * n, seen_of(mem, r, at)
-    time = mem[at + Event.TIME]
-    of_velocity = is_of_velocity(kind)
-    if _has_wrong_displacement(mem, r, at, n):
-        if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
-            contradiction.use_all_fixes(mem, r)
-        mem[own + Seen.FITTED] = -time
+    own, kind, time = seen_of(mem, r, at), int(mem[at + Event.KIND]), mem[at + Event.TIME]
+    _note_wrong_displacement(mem, r, at, n)
     if is_contradicted(mem, r, at):
         return 1.0, 1.0, REFUSE_ALL
-    # of the start, too, after which the first has still to come
-    fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
     since = time - mem[own + Scale.TIME]
-    correlation = SPEED_CORRELATION if of_velocity else FIELD_CORRELATION if kind == Kind.MAGNETIC else 0.0
+    if _is_uncompared(mem, r, at):
+        return _before_comparison(mem, at, own, since)
+    correlation = SPEED_CORRELATION if is_of_velocity(kind) else FIELD_CORRELATION if kind == Kind.MAGNETIC else 0.0
     density = _repeated(correlation, since)
-    if ((of_velocity or kind == Kind.HEADING) and fix != 0.0 and time - fix < LONGEST_WITHOUT_FIX
-            and not displacement.is_compared(mem, own)):
-        first = UNCOMPARED_SIGMA
-        if kind == Kind.HEADING:  # what is wrong with it does not change from one to the next
-            first = UNCOMPARED_HEADING_SIGMA
-            density = _repeated(FIELD_CORRELATION, since)
-        mem[own + Scale.TIME] = time
-        # a velocity may fit by its size and point elsewhere
-        gate = REFUSE_ALL if kind == Kind.VELOCITY else ROBUST
-        return max(1.0, first**2 / mem[at + Event.R_NN]), density, gate
-    claimed = mem[at + Event.R_NN]
-    squared, variance = _innovation(mem, r, at, n, dimensions)
-    if dimensions > 1:
-        claimed = 0.5 * (claimed + mem[at + Event.R_EE])
+    claimed = mem[at + Event.R_NN] if dimensions == 1 else 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     before = max(scale(mem, own), 1.0)
     unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
-    least = LEAST_NOISE if of_velocity else LEAST_HEADING_NOISE
-    largest, far = max(LARGEST_NOISE_FACTOR * claimed, least**2), SLIPPED
-    if kind == Kind.MAGNETIC:  # iron beside the way lasts, and would pass for noise
-        largest, far = claimed, NARROW_GATE
-    noise = min(before * claimed + unknown, largest)
-    far_off = has_displacement(kind) and squared > far**2 * (variance + noise)
-    fitted = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < (
-        LONGEST_SLIP if of_velocity else LONGEST_JUMP)
-    # one that has begun to slip has to fit before it is used: the state without it becomes less certain
-    lasts = of_velocity and fitted and time - mem[own + Seen.FITTED] > max(SHORTEST_SLIP, 1.5 * since)
-    # so soon no IMU is wrong by as much
-    slips = fitted and (far_off or lasts and squared > ROBUST**2 * (variance + noise))
+    noise = _noise(kind, claimed, before * claimed + unknown)
+    squared, variance = _innovation(mem, r, at, n, dimensions)
+    slips = has_displacement(kind) and _slips(mem, own, kind, time, since, squared, variance + noise)
     if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance):
         squared, variance = _innovation(mem, r, at, n, dimensions)
-        far_off = squared > far**2 * (variance + noise)
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < LONGEST_WITHOUT_FIX
     if kind == Kind.PLACE:
         expected = variance + min(before, LARGEST_NOISE_FACTOR) * claimed
@@ -134,30 +101,111 @@ def factor_and_limits(mem, r, at, n, dimensions):
     else:
         learn_changes(mem, own, time, squared, claimed, variance, dimensions, 1.0 / density)
     factor = max(scale(mem, own), 1.0) + unknown / claimed
-    if has_displacement(kind):  # one by one each is judged by what it claims itself
-        expected = variance + noise
-        if squared < ROBUST * ROBUST * expected:
-            mem[own + Seen.FITTED] = time
-        other = confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0
-        if other:  # no slip lasts for so long
-            mem[own + Seen.FITTED] = 0.0
-            displacement.forget(mem, own)
-        elif lasts and far_off and kind != Kind.VELOCITY:
-            displacement.interrupt(mem, own)
-        if slips or other:
-            return factor, density, REFUSE_ALL
-        if confirmed or fitted:
-            return factor, density, GATE * math.sqrt(expected / (variance + factor * claimed))
-    if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
-        return factor, density, 0.0
+    if has_displacement(kind):
+        fitted = _has_fitted(mem, own, kind, time)
+        refused = _refuses(mem, own, kind, time, since, squared, variance + noise, slips, confirmed)
+        if refused or confirmed or fitted:  # one by one each is judged by what it claims itself
+            gate = GATE * math.sqrt((variance + noise) / (variance + factor * claimed))
+            return factor, density, REFUSE_ALL if refused else gate
+    if factor > before and not confirmed and squared >= ROBUST * ROBUST * (before * claimed + variance):
+        _make_state_uncertain(mem, n, dimensions, (factor - before) * claimed)
+    return factor, density, 0.0
+
+
+@njit(_nrt=False)
+def _is_uncompared(mem, r, at):
+    """Whether the input at `at` has to wait for a comparison with displacements between fixes, which come."""
+    kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
+    # of the start, too, after which the first has still to come
+    fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
+    return ((is_of_velocity(kind) or kind == Kind.HEADING) and fix != 0.0 and time - fix < LONGEST_WITHOUT_FIX
+            and not displacement.is_compared(mem, seen_of(mem, r, at)))
+
+
+@njit(_nrt=False)
+def _before_comparison(mem, at, own, since):
+    """Factor, how many tell no more than one, and gate of an input that has not been compared with fixes yet."""
+    kind, first, correlation = int(mem[at + Event.KIND]), UNCOMPARED_SIGMA, SPEED_CORRELATION
+    if kind == Kind.HEADING:  # what is wrong with it does not change from one to the next
+        first, correlation = UNCOMPARED_HEADING_SIGMA, FIELD_CORRELATION
+    mem[own + Scale.TIME] = mem[at + Event.TIME]
+    # a velocity may fit by its size and point elsewhere
+    gate = REFUSE_ALL if kind == Kind.VELOCITY else ROBUST
+    return max(1.0, first**2 / mem[at + Event.R_NN]), _repeated(correlation, since), gate
+
+
+@njit(_nrt=False)
+def _noise(kind, claimed, seen):
+    """Variance that counts as noise of an input where GATE and a slip are judged. claimed: its own; seen: realised."""
+    if kind == Kind.MAGNETIC:  # iron beside the way lasts, and would pass for noise
+        return min(seen, claimed)
+    least = LEAST_NOISE if is_of_velocity(kind) else LEAST_HEADING_NOISE
+    return min(seen, max(LARGEST_NOISE_FACTOR * claimed, least**2))
+
+
+@njit(_nrt=False)
+def _is_far_off(kind, squared, expected):
+    """Whether an innovation squared is more than noise. expected: its variance."""
+    far = NARROW_GATE if kind == Kind.MAGNETIC else SLIPPED
+    return squared > far**2 * expected
+
+
+@njit(_nrt=False)
+def _has_fitted(mem, own, kind, time):
+    """Whether a speed, velocity, odometry or heading has fitted so lately that what is far off now is wrong: so soon no
+    IMU is wrong by as much."""
+    longest = LONGEST_SLIP if is_of_velocity(kind) else LONGEST_JUMP
+    return mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < longest
+
+
+@njit(_nrt=False)
+def _goes_on_slipping(mem, own, kind, time, since):
+    """Whether a speed, velocity or odometry that has fitted lately has not done so for SHORTEST_SLIP."""
+    return (is_of_velocity(kind) and _has_fitted(mem, own, kind, time)
+            and time - mem[own + Seen.FITTED] > max(SHORTEST_SLIP, 1.5 * since))
+
+
+@njit(_nrt=False)
+def _slips(mem, own, kind, time, since, squared, expected):
+    """Whether wheels slip, or the same of a velocity or a heading: it has fitted a moment ago, and is far off.
+
+    One that goes on slipping has to fit before it is used: the state without it becomes less certain. squared,
+    expected: mean square of the innovation and its variance. since: s from the one before.
+    """
+    return _has_fitted(mem, own, kind, time) and (
+        _is_far_off(kind, squared, expected)
+        or _goes_on_slipping(mem, own, kind, time, since) and squared > ROBUST**2 * expected)
+
+
+@njit(_nrt=False)
+def _refuses(mem, own, kind, time, since, squared, expected, slips, confirmed):
+    """Whether a speed, velocity, odometry or heading is refused: it slips, or is far off for longer than a slip lasts
+    while fixes confirm the state. Notes that it has fitted, and ends its displacement where it slips."""
+    lasts, far_off = _goes_on_slipping(mem, own, kind, time, since), _is_far_off(kind, squared, expected)
+    if squared < ROBUST * ROBUST * expected:
+        mem[own + Seen.FITTED] = time
+    if confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0:  # no slip lasts for so long
+        mem[own + Seen.FITTED] = 0.0
+        displacement.forget(mem, own)
+        return True
+    if lasts and far_off and kind != Kind.VELOCITY:
+        displacement.interrupt(mem, own)
+    return slips
+
+
+@njit(_nrt=False)
+def _make_state_uncertain(mem, n, dimensions, variance):
+    """What does not fit is wrong, or the state is. What the variance of a measurement is raised by, that of the state
+    is raised by, too, along what is measured, unless fixes speak for the state, as they do for its velocity: so a
+    filter that is sure of something wrong comes to where both agree, and the other measurements decide."""
+    p, n_navigation = int(mem[Head.SCRATCH_AT]), int(mem[Head.N_NAVIGATION])
+    h = p + n * n
     column = h + 3 * n
-    n_navigation = int(mem[Head.N_NAVIGATION])  # sensor errors do not make it wrong by as much at once
     for k in range(dimensions):
-        raised = (factor - before) * claimed / project(mem, n, h + n * k, column) ** 2
-        for i in range(n_navigation):
+        raised = variance / project(mem, n, h + n * k, column) ** 2
+        for i in range(n_navigation):  # sensor errors do not make it wrong by as much at once
             for j in range(n_navigation):
                 mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
-    return factor, density, 0.0
 
 
 @njit(_nrt=False)
@@ -207,15 +255,19 @@ def is_contradicted(mem, r, at):
 
 
 @njit(_nrt=False)
-def _has_wrong_displacement(mem, r, at, n):
-    """Whether the displacements of the input of the record at `at` contradict those of the fixes, by more than its
+def _note_wrong_displacement(mem, r, at, n):
+    """Note whether the displacements of the input of the record at `at` contradict those of the fixes, by more than its
     constant error, as estimated, may still be off; P is in the scratch."""
-    if not has_displacement(int(mem[at + Event.KIND])):
-        return False
+    kind, own = int(mem[at + Event.KIND]), seen_of(mem, r, at)
+    if not has_displacement(kind):
+        return
     error, tolerated = _constant_error(mem, at), displacement.TOLERATED_SHARE
     if error >= 0:
         tolerated = displacement.SIGNIFICANT * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
-    return displacement.is_contradicted(mem, seen_of(mem, r, at), mem[at + Event.KIND], tolerated)
+    if displacement.is_contradicted(mem, own, kind, tolerated):
+        if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
+            contradiction.use_all_fixes(mem, r)
+        mem[own + Seen.FITTED] = -mem[at + Event.TIME]
 
 
 @njit(_nrt=False)
