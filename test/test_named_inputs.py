@@ -301,7 +301,7 @@ def test_the_diagnosis_while_driving_hears_them():
             gathering.add(name, int(samples.stamp[i]), tuple(numbers))
     # then its chunks hold them, bit for bit as those of a replay do, and all of them
     replayed = list(chunks(recording, aiding(values)))
-    assert len(live) == len(replayed) == 2
+    assert len(live) == len(replayed) == 4
     for one, other in zip(live, replayed):
         assert {'rear', 'left', 'right'} <= one.others.keys() == other.others.keys()
         for name, samples in one.others.items():
