@@ -87,6 +87,8 @@ PRIOR = 4.8
 #: the same of a scale that has become another one: among houses, or without its base, a receiver may scatter a thousand
 #: times as far as it claims
 CHANGED_PRIOR = 16.0
+#: variance of the logarithm below which both hypotheses are compared: four deviations have been seen of the other
+SAME_VARIANCE = 0.5
 #: 1/s: a scale becomes another one once in twenty minutes: what a drive through a city brings
 CHANGE_RATE = 1.0 / 1200.0
 #: 1/s, by which the variance of one that `learn` follows grows: by a factor of e within ten minutes
@@ -156,6 +158,9 @@ def learn_changes(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     if share > 0.5:
         mem[at + Scale.LOG], mem[at + Scale.REDUCED] = mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED]
         share = 0.0
+    variance = PRIOR - mem[at + Scale.OTHER_REDUCED]
+    if variance < SAME_VARIANCE and (mem[at + Scale.OTHER_LOG] - mem[at + Scale.LOG]) ** 2 < variance:
+        share = 0.0  # both say the same; what it becomes next may be anything again
     mem[at + Scale.CHANGED] = share
     mem[at + Scale.LOG] = max(math.log(SMALLEST_SCALE), min(mem[at + Scale.LOG], math.log(LARGEST_SCALE)))
     return allowed > OUTLIER_DENSITY
