@@ -148,7 +148,7 @@ def start_anew(mem, r, at):
     # where it may as well be the fixes that are wrong, nothing is said against the IMU
     diverged = mem[r + Hypothesis.START_DUE] == 0.0 and _diverged(mem, r, mem[at + Event.TIME])
     mem[r + Hypothesis.START_DUE] = 0.0
-    v_n, v_e, drift, scatter = _velocity_of_fixes(mem, r, at, diverged)
+    v_n, v_e, drift = _velocity_of_fixes(mem, r, at, diverged)
     if diverged:
         again = mem[r + Nav.DIVERGENCES] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.DIVERGENCE_TIME] < AGAIN_WITHIN
         mem[r + Nav.DIVERGENCES] = mem[r + Nav.DIVERGENCES] + 1.0 if again else 1.0
@@ -171,7 +171,7 @@ def start_anew(mem, r, at):
         forget(mem, i, n)
     mem[r + Nav.LATITUDE], mem[r + Nav.LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     mem[r + Nav.V_N], mem[r + Nav.V_E] = v_n, v_e
-    variance = max(max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]), scatter)
+    variance = _fix_variance(mem, r, at)
     arm = mem[Head.LEVER_X] ** 2 + mem[Head.LEVER_Y] ** 2 + mem[Head.LEVER_Z] ** 2
     for i in range(2):
         mem[p + (n + 1) * i] = variance + arm
@@ -199,20 +199,26 @@ def _since_last_fix(mem, r, at):
 
 
 @njit(_nrt=False)
-def _velocity_of_fixes(mem, r, at, diverged):
-    """Velocity (north, east) that the refused fixes show, and its variance: by how they drift from the filter, whose
-    own may be of no use where it has diverged, or by the last two of them. And by how they scatter, m^2, both
-    components."""
-    slope_n, slope_e, spread, variance = _line(mem, r)
+def _fix_variance(mem, r, at):
+    """Variance of the fix at `at`, both components, m^2: as fixes have been seen to scatter, or as the refused ones
+    scatter about their line, where that is more."""
+    _, _, spread, _ = _line(mem, r)
     # each component's line has two numbers that are fitted to them
     scatter = spread * mem[r + Nav.REFUSED] / max(mem[r + Nav.REFUSED] - 2.0, 1.0)
+    return max(max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]), scatter)
+
+
+@njit(_nrt=False)
+def _velocity_of_fixes(mem, r, at, diverged):
+    """Velocity (north, east) that the refused fixes show, and its variance: by how they drift from the filter, whose
+    own may be of no use where it has diverged, or by the last two of them."""
+    slope_n, slope_e, _, variance = _line(mem, r)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
     if not diverged or not 0.0 < interval < LONGEST_PAIR:
-        return mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e, NEW_VELOCITY_SIGMA**2 + variance, scatter
+        return mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e, NEW_VELOCITY_SIGMA**2 + variance
     north, east = _since_last_fix(mem, r, at)
-    claimed = max(max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]), scatter)
     return (north / interval, east / interval,
-            NEW_VELOCITY_SIGMA**2 + (GAP_ACCELERATION * interval) ** 2 + claimed / interval**2, scatter)
+            NEW_VELOCITY_SIGMA**2 + (GAP_ACCELERATION * interval) ** 2 + _fix_variance(mem, r, at) / interval**2)
 
 
 @njit(_nrt=False)
