@@ -103,9 +103,10 @@ def score_fix(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
         return True
     # the first of them is wrong: the hypothesis begins with it
     ended = 1.0 - math.exp(-FAULT_END_RATE * interval) if mem[r + Hypothesis.VARIANCE] != 0.0 else 0.0
+    scatter = factor * r_nn
     if mem[r + Hypothesis.AGAINST_START] == 0.0:
-        r_nn, n, e = r_nn + 0.5 * (n * n + e * e) / factor, 0.0, 0.0
-    wrong = _density_if_wrong(mem, r, z_n, z_e, factor * r_nn, n, e, anywhere, interval)
+        scatter, n, e = scatter + 0.5 * (n * n + e * e), 0.0, 0.0
+    wrong = _density_if_wrong(mem, r, z_n, z_e, scatter, n, e, anywhere, interval)
     again, still = ended * right, (1.0 - ended) * wrong  # right again, and still wrong
     mem[r + Hypothesis.SCORE] += counts * math.log(again + still)
     if again > still:
