@@ -173,10 +173,10 @@ def learn(mem, r, at, left_n, left_e):
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
     mem[r + Nav.FIX_TIME] = time
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
-    if verdict == Verdict.WEIGHTED or mem[r + Nav.WEIGHTED] > 0.0 and mem[at + Event.NIS] > mem[Head.ROBUST_SIGMA] ** 2:
-        mem[r + Nav.WEIGHTED] += 1.0
-    else:
-        mem[r + Nav.WEIGHTED] = 0.0
+    beyond = mem[r + Nav.WEIGHTED] > 0.0 and mem[at + Event.NIS] > mem[Head.ROBUST_SIGMA] ** 2
+    # one that is refused ends the row: those before it were off by chance, or the receiver is wrong, not the filter
+    row_goes_on = verdict == Verdict.WEIGHTED or beyond and verdict != Verdict.REFUSED
+    mem[r + Nav.WEIGHTED] = mem[r + Nav.WEIGHTED] + 1.0 if row_goes_on else 0.0
 
 
 @njit(_nrt=False)

@@ -87,8 +87,6 @@ PRIOR = 4.8
 #: the same of a scale that has become another one: without its base a receiver may scatter a thousand times as far as
 #: it claims. With 9, fixes that claim 0.1 m and scattered by 15 m stayed outliers, and the filter was 37 m off
 CHANGED_PRIOR = 16.0
-#: variance of the logarithm below which both hypotheses are compared: four deviations have been seen of the other
-SAME_VARIANCE = 0.5
 #: 1/s: a scale becomes another one once in twenty minutes: what a drive through a city brings
 CHANGE_RATE = 1.0 / 1200.0
 #: 1/s, by which the variance of one that `learn` follows grows: by a factor of e within ten minutes
@@ -147,42 +145,50 @@ def learn_changes(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     likelihood, below 1 where several deviations have much in common. Returns whether the estimate before it allowed for
     a deviation as large.
     """
+    changes = 0.0
     if mem[at + Scale.TIME] != 0.0:
-        _may_change(mem, at, 1.0 - math.exp(-CHANGE_RATE * max(time - mem[at + Scale.TIME], 0.0)))
-    mem[at + Scale.TIME] = time
-    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, weight)
-    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions, weight)
-    share = mem[at + Scale.CHANGED]
-    allowed += share * (allowed_by_other - allowed)
-    share = share * other / (share * other + (1.0 - share) * same)
+        changes = 1.0 - math.exp(-CHANGE_RATE * max(time - mem[at + Scale.TIME], 0.0))
+    mem[at + Scale.TIME], earlier = time, mem[at + Scale.CHANGED]
+    level, variance, same, allowed = _learned(mem[at + Scale.LOG], PRIOR - mem[at + Scale.REDUCED], squared, part, rest,
+                                              dimensions, weight)
+    mem[at + Scale.LOG], mem[at + Scale.REDUCED] = level, PRIOR - variance
+    same, allowed = (1.0 - changes) * (1.0 - earlier) * same, (1.0 - changes) * (1.0 - earlier) * allowed
+    changed = 0.0
+    if earlier > 0.0:
+        level, variance, changed, fits = _learned(mem[at + Scale.OTHER_LOG], PRIOR - mem[at + Scale.OTHER_REDUCED],
+                                                  squared, part, rest, dimensions, weight)
+        mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED] = level, PRIOR - variance
+        changed, allowed = (1.0 - changes) * earlier * changed, allowed + (1.0 - changes) * earlier * fits
+    if changes > 0.0:
+        level, variance, lately, fits = _learned(0.0, CHANGED_PRIOR, squared, part, rest, dimensions, weight)
+        lately, allowed = changes * lately, allowed + changes * fits
+        changed += lately
+        _mix(mem, at, lately / changed, level, variance)
+    share = changed / (changed + same)
     if share > 0.5:
         mem[at + Scale.LOG], mem[at + Scale.REDUCED] = mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED]
         share = 0.0
-    variance = PRIOR - mem[at + Scale.OTHER_REDUCED]
-    if variance < SAME_VARIANCE and (mem[at + Scale.OTHER_LOG] - mem[at + Scale.LOG]) ** 2 < variance:
-        share = 0.0  # both say the same; what it becomes next may be anything again
     mem[at + Scale.CHANGED] = share
     mem[at + Scale.LOG] = max(math.log(SMALLEST_SCALE), min(mem[at + Scale.LOG], math.log(LARGEST_SCALE)))
     return allowed > OUTLIER_DENSITY
 
 
 @njit(_nrt=False)
-def _may_change(mem, at, probability):
-    """That the scale at `at` has become another one since the latest deviation, with this probability: of any size."""
-    share = mem[at + Scale.CHANGED] + (1.0 - mem[at + Scale.CHANGED]) * probability
-    if share == 0.0:
-        return
-    # mean and variance of a mixture of two normal distributions
-    earlier, level, known = mem[at + Scale.CHANGED] / share, mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED]
-    mem[at + Scale.CHANGED], mem[at + Scale.OTHER_LOG] = share, earlier * level
-    mem[at + Scale.OTHER_REDUCED] = (earlier * (known - (1.0 - earlier) * level * level)
-                                     + (1.0 - earlier) * (PRIOR - CHANGED_PRIOR))
+def _mix(mem, at, share, level, variance):
+    """Mean and variance of a scale that has changed: of the mixture of what it was known as and, with the probability
+    `share`, of `level` and `variance`."""
+    difference = level - mem[at + Scale.OTHER_LOG]
+    before = PRIOR - mem[at + Scale.OTHER_REDUCED]
+    mem[at + Scale.OTHER_LOG] += share * difference
+    mixed = before + share * (variance - before) + share * (1.0 - share) * difference * difference
+    mem[at + Scale.OTHER_REDUCED] = PRIOR - mixed
 
 
 @njit(_nrt=False)
-def _learn_one(mem, at, squared, part, rest, dimensions, weight):
-    """Learn from a deviation as one of both hypotheses; at: of its mean. Its likelihood, and that without outliers."""
-    level, sigma = mem[at], math.sqrt(max(PRIOR - mem[at + 1], 0.0))
+def _learned(level, variance, squared, part, rest, dimensions, weight):
+    """Mean and variance of the logarithm after a deviation, from those before it, and its likelihood, with outliers and
+    without."""
+    sigma = math.sqrt(max(variance, 0.0))
     shown = max(squared, 1e-12 * (part + rest))
     total = mean = square = allowed = 0.0
     for i in range(len(NODES)):
@@ -194,8 +200,7 @@ def _learn_one(mem, at, squared, part, rest, dimensions, weight):
         mean += probability * node
         square += probability * node * node
     mean /= total
-    mem[at], mem[at + 1] = level + mean, PRIOR - (square / total - mean * mean)
-    return total, allowed
+    return level + mean, square / total - mean * mean, total, allowed
 
 
 @njit(_nrt=False)
