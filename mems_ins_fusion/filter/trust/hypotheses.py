@@ -33,6 +33,7 @@ Hypothesis = ROW.place(
     FIXES_WRONG=1,  # 1: its hypothesis is that the fixes since some time are wrong; then
     OFFSET=2,  # m, north and east, predicted minus measured: by what they are off,
     DRIFT=2,  # m/s, by what that changes,
+    ENDED=1,  # how much more likely it is that they have been right again for some time than that they still are wrong,
     VARIANCE=3,  # of an offset, m^2, with its drift, m^2/s, and of that, m^2/s^2, the same for both axes; 0: none yet,
     AGAINST_START=1,  # 1: it is compared with a filter that has started anew from these fixes,
     START_DUE=1,  # 1: the next fix is one that position and velocity start anew from,
@@ -107,11 +108,13 @@ def score_fix(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
     if mem[r + Hypothesis.AGAINST_START] == 0.0:
         scatter, n, e = scatter + 0.5 * (n * n + e * e), 0.0, 0.0
     wrong = _density_if_wrong(mem, r, z_n, z_e, scatter, n, e, anywhere, interval)
-    again, still = ended * right, (1.0 - ended) * wrong  # right again, and still wrong
-    mem[r + Hypothesis.SCORE] += counts * math.log(again + still)
-    if again > still:
+    mem[r + Hypothesis.SCORE] += counts * math.log(ended * right + (1.0 - ended) * wrong)
+    # a filter that has used them since they were right again would have predicted this one as well as their offset does
+    mem[r + Hypothesis.ENDED] += ended * right / wrong
+    is_right = mem[r + Hypothesis.ENDED] > 1.0 - ended
+    if is_right:
         mem[r + Hypothesis.FIXES_WRONG] = 0.0
-    return again > still
+    return is_right
 
 
 @njit(_nrt=False)
@@ -194,7 +197,7 @@ def _density_if_wrong(mem, r, z_n, z_e, r_nn, late_n, late_e, anywhere, interval
 def begin_refusing(mem, r, interval):
     """The filter with the state at r says from now on that the fixes are wrong. interval: s between fixes."""
     mem[r + Hypothesis.FIXES_WRONG] = 1.0
-    mem[r + Hypothesis.VARIANCE] = mem[r + Hypothesis.AGAINST_START] = 0.0
+    mem[r + Hypothesis.VARIANCE] = mem[r + Hypothesis.AGAINST_START] = mem[r + Hypothesis.ENDED] = 0.0
     for i in range(2):
         mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
     mem[r + Hypothesis.SCORE] += math.log(FAULT_RATE * min(max(interval, SHORTEST_CORRELATION), LONGEST_INTERVAL))
