@@ -91,6 +91,33 @@ def test_who_doubts_expects_them_to_go_on_being_off_as_they_were():
     assert believed and memory[r + Hypothesis.FIXES_WRONG] == 0.0
 
 
+@pytest.mark.parametrize('interval', [0.1, 1.0])
+def test_refused_fixes_that_fit_are_right_again_within_the_time_for_which_receivers_fail(interval):
+    # given a filter that takes fixes for wrong, which are off by no more than it may be without them
+    _, memory, r = a_state()
+    begin_refusing(memory, r, interval)
+    z, ended, odds, time = np.array([1.5, 2.0]), 1.0 - math.exp(-FAULT_END_RATE * interval), 0.0, interval
+    judged(memory, r, z, time)
+    right = multivariate_normal(cov=S + np.diag([(10.0 * UNDECLARED_OFFSET) ** 2, 0.0])).pdf(z)
+    believed = False
+    while not believed and time < 300.0:
+        time += interval
+        believed, nats = judged(memory, r, z, time)
+        density = math.exp(nats / min(interval / SHORTEST_CORRELATION, 1.0))
+        wrong = (density - ended * right) / (1.0 - ended)
+        odds += ended * right / wrong
+        # then they are right once the sum over the times of the end says so: one who had used them since then would
+        # have predicted each later one as well as their offset does
+        assert believed == (odds > 1.0 - ended)
+    assert 20.0 < time < 120.0
+
+
+def test_refused_fixes_that_do_not_fit_are_never_right():
+    _, memory, r = a_state()
+    begin_refusing(memory, r, 1.0)
+    assert not any(judged(memory, r, np.array([20.0, 0.0]), float(time))[0] for time in range(1, 300))
+
+
 def test_a_correction_of_the_state_is_none_of_the_fixes():
     # given a filter that takes fixes for wrong, which are 20 m off and go on so
     _, memory, r = a_state()

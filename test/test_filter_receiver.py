@@ -268,6 +268,19 @@ def test_a_new_start_forgets_how_large_the_innovations_of_the_old_state_were():
     assert memory[at + Nav.VARIANCE_FACTOR] == 1.0 and memory[level] == 0.0
 
 
+def test_fixes_among_refused_ones_never_decide_alone():
+    # given a receiver that from now on is 4 m and 50 m off in turn, each in another direction
+    receiver = Receiver(scatter=0.1)
+    count = len(receiver.time) - 40
+    angle = receiver.rng.uniform(-math.pi, math.pi, count)
+    off = np.where(np.arange(count) % 2 == 0, 4.0, 50.0)
+    receiver.position[40:] += off[:, np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    _, _, _, records = receiver.through(0.1, **{'gnss.adapt_sigma': False})
+    # then none that does not fit is used as it is, as a row of fixes is that are off alike
+    used = verdicts(records) == Verdict.USED
+    assert used[:40].all() and records[used, Event.NIS].max() < 9.0
+
+
 def test_refused_fixes_that_do_not_agree_do_not_win():
     # given a receiver that for the rest of the drive is somewhere within 200 m
     receiver = Receiver()

@@ -65,6 +65,29 @@ def test_another_scale_is_found_after_a_few_deviations_up_and_down(realised):
     assert np.std([levels[119] for levels in found]) < 0.2
 
 
+def test_it_has_changed_as_probably_as_bayes_rule_says():
+    # given a scale that is known to be about 1 to a factor of 1.5, and perhaps became a fifth of that a while ago
+    sigma, earlier = 0.4, 0.06
+    at = np.zeros(Scale.CHANGING_SIZE)
+    at[Scale.TIME], at[Scale.LOG], at[Scale.REDUCED] = 10.0, 0.0, judged.PRIOR - sigma**2
+    at[Scale.OTHER_LOG], at[Scale.OTHER_REDUCED], at[Scale.CHANGED] = -1.6, judged.PRIOR - 1.0, earlier
+    # when a deviation comes three seconds later that is a thousand times as large
+    learn_changes(at, 0, 13.0, 1000.0, 1.0, 0.0, 2)
+    # then that it has changed at some time, and what it is then, is what the densities of SciPy give
+    lately = 1.0 - math.exp(-3.0 * judged.CHANGE_RATE)
+    level = np.linspace(-30.0, 30.0, 60001)
+    likelihood = chi2(2).pdf(2000.0 / np.exp(level)) * 2000.0 / np.exp(level) + judged.OUTLIER_DENSITY
+    parts = [(1.0 - lately) * (1.0 - earlier) * norm(0.0, sigma).pdf(level),
+             (1.0 - lately) * earlier * norm(-1.6, 1.0).pdf(level),
+             lately * norm(0.0, math.sqrt(judged.CHANGED_PRIOR)).pdf(level)]
+    same, *changed = [np.sum(part * likelihood) for part in parts]
+    assert at[Scale.CHANGED] == pytest.approx(sum(changed) / (same + sum(changed)), rel=0.1)  # nodes are 2 apart
+    density = (parts[1] + parts[2]) * likelihood / sum(changed)
+    mean = np.sum(density * level)
+    assert at[Scale.OTHER_LOG] == pytest.approx(mean, abs=0.3)
+    assert judged.PRIOR - at[Scale.OTHER_REDUCED] == pytest.approx(np.sum(density * (level - mean) ** 2), rel=0.1)
+
+
 def test_one_deviation_far_off_is_no_other_scale():
     at = learned(1.0, 60, by=learn_changes)
     before = at[Scale.LOG]

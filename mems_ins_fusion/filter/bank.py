@@ -35,7 +35,7 @@ from .memory import (
 from .trust import extrapolation, fix_drift, hypotheses, new_start
 from .trust.extrapolation import Extrapolation
 from .trust.hypotheses import Hypothesis
-from .trust.receiver import CLAIM_CHANGE, Receiver, realised_scatter
+from .trust.receiver import CLAIM_CHANGE, Receiver, excess_scatter
 from .trust.scale import Scale
 
 #: columns of the head of the first filter
@@ -99,7 +99,7 @@ def compare(memory):
             return
     for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.CHANGING_SIZE):  # it is the same receiver
         other[r + i] = memory[r + i]
-    if realised_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]:
+    if excess_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]:
         # fixes scatter that much more than was known when they did not fit: they are no longer wrong or refused
         memory[r + Hypothesis.FIXES_WRONG] = memory[r + Hypothesis.VARIANCE] = memory[Bank.OPEN] = 0.0
         for i in range(4):
@@ -162,7 +162,7 @@ def _start_from_fixes(memory, other, r, interval):
     begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTING_SHARE) * memory[Head.RECOVERY_TIME])
     memory[Bank.OPEN], memory[Bank.WRONG_SINCE], memory[Bank.SEARCHED] = 1.0, begun, 1.0
     memory[r + Hypothesis.AGAINST_START] = 1.0
-    memory[Bank.SCATTER] = max(realised_scatter(memory, r), 1.0)
+    memory[Bank.SCATTER] = excess_scatter(memory, r)
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)
     other[start + Hypothesis.START_DUE] = 1.0
@@ -201,7 +201,7 @@ def _begin(memory, other, r, interval):
         return
     if _refuse_since(memory, other, time, interval) > score - hypotheses.LOST_NATS:
         memory[Bank.OPEN], memory[Bank.WRONG_SINCE], memory[Bank.SEARCHED] = 1.0, time, 0.0
-        memory[Bank.SCATTER] = max(realised_scatter(memory, r), 1.0)
+        memory[Bank.SCATTER] = excess_scatter(memory, r)
 
 
 @njit(_nrt=False)

@@ -17,7 +17,7 @@ from ..update import scratch_of
 from . import hypotheses
 from .drift import Drift
 from .hypotheses import Hypothesis
-from .receiver import Receiver, realised_scatter
+from .receiver import Receiver, excess_scatter
 from .scale import reset_scale
 
 #: s: fixes further apart say nothing of the course, as the vehicle may have turned between them
@@ -120,7 +120,7 @@ def _agree(mem, r, claimed):
     """Whether the refused innovations lie on a line; claimed: variance of a fix, both components, m^2."""
     _, _, spread, _ = _line(mem, r)
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
-    sigma = math.sqrt(max(1.0, realised_scatter(mem, r)) * claimed)
+    sigma = math.sqrt(excess_scatter(mem, r) * claimed)
     return math.sqrt(spread) < AGREEMENT_SIGMAS * (sigma + AGREEMENT_FLOOR) + AGREEMENT_SHARE * size
 
 
@@ -205,7 +205,7 @@ def _fix_variance(mem, r, at):
     _, _, spread, _ = _line(mem, r)
     # each component's line has two numbers that are fitted to them
     scatter = spread * mem[r + Nav.REFUSED] / max(mem[r + Nav.REFUSED] - 2.0, 1.0)
-    return max(max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]), scatter)
+    return max(excess_scatter(mem, r) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]), scatter)
 
 
 @njit(_nrt=False)
@@ -267,7 +267,7 @@ def course_velocity(mem, r, at):
             or not 0.0 < interval < LONGEST_PAIR):
         return 0.0, 0.0
     north, east = _since_last_fix(mem, r, at)
-    sigma = math.sqrt(2.0 * max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    sigma = math.sqrt(2.0 * excess_scatter(mem, r) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
     if math.hypot(north, east) < sigma / COURSE_SIGMA:
         return 0.0, 0.0
     return north / interval, east / interval

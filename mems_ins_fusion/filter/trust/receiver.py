@@ -146,6 +146,12 @@ def realised_factor(mem, r):
 
 
 @njit(_nrt=False)
+def excess_scatter(mem, r):
+    """Factor on the variance that fixes claim, as they scatter, where that is more."""
+    return max(1.0, realised_factor(mem, r))
+
+
+@njit(_nrt=False)
 def _claimed(mem, at):
     """Variance of a component that the fix at `at` claims, m^2."""
     return 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
