@@ -11,7 +11,8 @@ ways to learn:
   and likelihood are integrated over NODES (assumed density filtering, P. S. Maybeck, *Stochastic Models, Estimation,
   and Control* 2, 1982, 12.7). A scale stays as it is, until it becomes another one: a receiver among houses, a mount
   that comes loose. So there are two hypotheses, each with an estimate: the scale is as it was, or it has become another
-  one lately, of any size (CHANGED_PRIOR). The more probable one is used. One deviation that is far off is an outlier,
+  one, of any size (CHANGED_PRIOR), some time ago or since the latest deviation; these two cases are joined after the
+  deviation, whose likelihood tells between them. The more probable one is used. One deviation far off is an outlier,
   several in a row are another scale. (R. P. Adams and D. J. C. MacKay, "Bayesian online changepoint detection", 2007,
   has as many hypotheses as there are instants.)
 * `learn`, from means that have much in common, each of which tells a little: a Kalman filter with one state for the
@@ -145,43 +146,31 @@ def learn_changes(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     likelihood, below 1 where several deviations have much in common. Returns whether the estimate before it allowed for
     a deviation as large.
     """
-    changes = 0.0
+    lately = 0.0
     if mem[at + Scale.TIME] != 0.0:
-        changes = 1.0 - math.exp(-CHANGE_RATE * max(time - mem[at + Scale.TIME], 0.0))
-    mem[at + Scale.TIME], earlier = time, mem[at + Scale.CHANGED]
-    level, variance, same, allowed = _learned(mem[at + Scale.LOG], PRIOR - mem[at + Scale.REDUCED], squared, part, rest,
-                                              dimensions, weight)
-    mem[at + Scale.LOG], mem[at + Scale.REDUCED] = level, PRIOR - variance
-    same, allowed = (1.0 - changes) * (1.0 - earlier) * same, (1.0 - changes) * (1.0 - earlier) * allowed
-    changed = 0.0
-    if earlier > 0.0:
-        level, variance, changed, fits = _learned(mem[at + Scale.OTHER_LOG], PRIOR - mem[at + Scale.OTHER_REDUCED],
-                                                  squared, part, rest, dimensions, weight)
-        mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED] = level, PRIOR - variance
-        changed, allowed = (1.0 - changes) * earlier * changed, allowed + (1.0 - changes) * earlier * fits
-    if changes > 0.0:
-        level, variance, lately, fits = _learned(0.0, CHANGED_PRIOR, squared, part, rest, dimensions, weight)
-        lately, allowed = changes * lately, allowed + changes * fits
-        changed += lately
-        _mix(mem, at, lately / changed, level, variance)
-    share = changed / (changed + same)
+        lately = 1.0 - math.exp(-CHANGE_RATE * max(time - mem[at + Scale.TIME], 0.0))
+    earlier = (1.0 - lately) * mem[at + Scale.CHANGED]
+    never = 1.0 - lately - earlier
+    level, variance = mem[at + Scale.LOG], PRIOR - mem[at + Scale.REDUCED]
+    level, variance, same, fits = _learned(level, variance, squared, part, rest, dimensions, weight)
+    other, other_variance = mem[at + Scale.OTHER_LOG], PRIOR - mem[at + Scale.OTHER_REDUCED]
+    other, other_variance, changed, fits_other = _learned(other, other_variance, squared, part, rest, dimensions,
+                                                          weight)
+    new, new_variance, becomes, fits_new = _learned(0.0, CHANGED_PRIOR, squared, part, rest, dimensions, weight)
+    same, changed, becomes = never * same, earlier * changed, lately * becomes
+    share = changed + becomes
+    if share > 0.0:  # mean and variance of a mixture of two normal distributions
+        part_new, difference = becomes / share, new - other
+        other_variance += part_new * (new_variance - other_variance + (1.0 - part_new) * difference * difference)
+        other += part_new * difference
+    share /= share + same
     if share > 0.5:
-        mem[at + Scale.LOG], mem[at + Scale.REDUCED] = mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED]
-        share = 0.0
-    mem[at + Scale.CHANGED] = share
-    mem[at + Scale.LOG] = max(math.log(SMALLEST_SCALE), min(mem[at + Scale.LOG], math.log(LARGEST_SCALE)))
-    return allowed > OUTLIER_DENSITY
-
-
-@njit(_nrt=False)
-def _mix(mem, at, share, level, variance):
-    """Mean and variance of a scale that has changed: of the mixture of what it was known as and, with the probability
-    `share`, of `level` and `variance`."""
-    difference = level - mem[at + Scale.OTHER_LOG]
-    before = PRIOR - mem[at + Scale.OTHER_REDUCED]
-    mem[at + Scale.OTHER_LOG] += share * difference
-    mixed = before + share * (variance - before) + share * (1.0 - share) * difference * difference
-    mem[at + Scale.OTHER_REDUCED] = PRIOR - mixed
+        level, variance, share = other, other_variance, 0.0
+    level = max(math.log(SMALLEST_SCALE), min(level, math.log(LARGEST_SCALE)))
+    mem[at + Scale.TIME], mem[at + Scale.CHANGED] = time, share
+    mem[at + Scale.LOG], mem[at + Scale.REDUCED] = level, PRIOR - variance
+    mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED] = other, PRIOR - other_variance
+    return never * fits + earlier * fits_other + lately * fits_new > OUTLIER_DENSITY
 
 
 @njit(_nrt=False)
