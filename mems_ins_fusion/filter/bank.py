@@ -51,9 +51,6 @@ Bank = HEAD.place(
 #: s before the first fix that did not fit: earlier times since which the fixes may be wrong, tried by `_search_begin`.
 #: Fixes that drift away fit at first
 EARLIER = (2.0, 4.0, 8.0)
-#: nats by which the second filter has to be better before it is published: a change makes the published position jump.
-#: Chosen, not measured
-SWITCH_NATS = 2.0
 #: nats: earlier times are tried only for a second filter that is behind by less (a trial takes 1 ms for 8 s at 100 Hz);
 #: and a second filter that uses no fixes has to be better by more. Chosen, not measured
 SERIOUS_NATS = 4.0
@@ -183,7 +180,7 @@ def _is_better(memory, other, r):
     """
     ahead = hypotheses.score(other, r) - hypotheses.score(memory, r)
     if other[r + Hypothesis.FIXES_WRONG] == 0.0:
-        return ahead > (SWITCH_NATS if memory[r + Hypothesis.FIXES_WRONG] == 0.0 else 0.0)
+        return ahead > 0.0
     return (ahead > SERIOUS_NATS and memory[r + Hypothesis.FIXES_WRONG] == 0.0
             and memory[r + Nav.USE_ALL_FIXES] == 0.0 and fix_drift.are_followed(memory, r)
             and hypotheses.is_drifting(other, r))
