@@ -38,7 +38,7 @@ from .prediction import allow_for_restart, predict
 from .trust import imu_faults
 from .trust.extrapolation import Wrong
 from .trust.imu_faults import Fault, Imu
-from .trust.standstill import MOVING_SPEED, certain_speed, is_still
+from .trust.standstill import certain_speed, is_still
 from .trust.white_noise import show_noise
 
 #: answers of `take_event`: the measurement is in the memory; it is older than the first state; it is older than
@@ -157,7 +157,7 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
-        memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed > MOVING_SPEED, bridged)
+        memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed, bridged)
         if imu_faults.is_stuck(memory, dt):  # a stuck accelerometer looks still although the vehicle may move
             memory[sample + Sample.STILL] = 0.0
     _refuse_ahead(memory, time)

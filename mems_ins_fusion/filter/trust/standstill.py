@@ -45,6 +45,9 @@ SLOWEST_TURN = 0.02
 LONGEST_VALID = 1.0
 #: m/s: a vehicle certainly moves where its speed, less two sigma, is above this: a slower one may stand
 MOVING_SPEED = 1.0
+#: m/s: and where it is above this, how quiet the vehicle is in motion is learned. Half of MOVING_SPEED, as a car that
+#: creeps may be as quiet as others that stand: with all of it, a gap in the samples of such a car ended in a standstill
+LEARNING_SPEED = 0.5
 #: s: time constant of each of the two low passes; an engine shakes faster than what they leave
 LOW_PASS = 0.15
 #: s: time constant of the running mean that is taken out of it, tilt and bias; after a braking it decays with this
@@ -94,11 +97,11 @@ def wheels_turn(mem, r):
 
 
 @njit(_nrt=False)
-def is_still(mem, sample, dt, moving, anew):
+def is_still(mem, sample, dt, speed, anew):
     """1 when the sample at `sample`, dt s after the one before, is one of a standstill; its state is in the head.
 
-    moving: whether the filter is certain that the vehicle moves. anew: whether nothing is known of the time before the
-    sample, so that a change of its specific force since then says nothing.
+    speed: that the vehicle certainly has, m/s. anew: whether nothing is known of the time before the sample, so that a
+    change of its specific force since then says nothing.
     """
     low, slow, square = min(1.0, dt / LOW_PASS), min(1.0, dt / MEAN_TIME), 0.0
     first = mem[Still.MOTION] == 0.0
@@ -118,13 +121,13 @@ def is_still(mem, sample, dt, moving, anew):
         return 0.0
     level, separation = 0.5 * math.log(max(mean, 1e-12)), math.log(SEPARATION)
     motion, rest = mem[Still.MOTION], mem[Still.REST]
-    if moving:  # the least there is: down at once, though not by one sample alone, and up slowly
+    if speed > LEARNING_SPEED:  # the least there is: down at once, though not by one sample alone, and up slowly
         motion = min(motion + dt / FORGETTING_TIME, max(level, motion - 2.0 * dt))
     elif level < motion - separation:
         rest += min(1.0, dt / REST_TIME) * (level - rest)
     mem[Still.MOTION], mem[Still.REST] = motion, rest
     threshold = min(max(0.5 * (motion + rest), rest + separation), motion - separation)
-    return 1.0 if level < threshold and not moving else 0.0
+    return 1.0 if level < threshold and speed <= MOVING_SPEED else 0.0
 
 
 @njit(_nrt=False)
