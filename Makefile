@@ -11,6 +11,11 @@ OLDEST := .venv-oldest/bin
 # wait for the other
 WORKERS := $(shell expr $$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN) + 1)
 PYTEST := -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+# s, after which a test counts as one that hangs: it fails, its file goes on in a new process. The longest one takes
+# some 30 s with both cores for it
+PYTEST += -o faulthandler_timeout=400 -o faulthandler_exit_on_timeout=true
+# tests start Python some hundred times: without bytecode each of them compiles the package's files, which takes 0.4 s
+unexport PYTHONDONTWRITEBYTECODE
 PIP := -m pip install --quiet --disable-pip-version-check
 
 .PHONY: demo test test-oldest compiled compiled-oldest docs
