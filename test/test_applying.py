@@ -40,7 +40,7 @@ NAME = 'gnss_time_offset'
 APPLY = table.check({'diagnosis.online': 'apply', 'diagnosis.share': 1.0})
 
 
-def drive(begin=0.0, end=1.0, minutes=16.0, offset=OFFSET):
+def drive(begin=0.0, end=1.0, minutes=10.0, offset=OFFSET):
     """At 20 Hz, fixes stamped `offset` s late in a part of it."""
     sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
     recording = simulate_recording(simulate_drive(60.0 * minutes, seed=5, rate=20.0), sensors,
@@ -338,28 +338,28 @@ def test_what_is_proven_is_applied_and_the_fixes_are_met(late, monkeypatch):
 
 
 def test_what_is_not_true_any_more_is_taken_back_and_another_value_takes_its_place(monkeypatch):
-    # given an offset that goes after eight minutes of sixteen
-    said, work = of_chunks(drive(end=0.5), [[finding()]], monkeypatch)
+    # given an offset that goes after six minutes of twelve
+    both = drive(end=0.5, minutes=12.0)
+    said, work = of_chunks(both, [[finding()]], monkeypatch)
     first = next(k for k, (_, sets) in enumerate(said) if sets)
     gone = next(k for k, (_, sets) in enumerate(said) if k > first and not sets)
-    assert 16 <= gone <= 27 and said[gone][0][NAME] == (SUSPECT, False) and not said[-1][1]
+    assert 12 <= gone <= 23 and said[gone][0][NAME] == (SUSPECT, False) and not said[-1][1]
     # given one that comes to another value, which an analysis of the last minutes finds: what is left
-    both = drive(end=0.5)
     gnss = both.gnss
-    later = gnss.stamp > gnss.stamp[0] + 480 * SECOND
+    later = gnss.stamp > gnss.stamp[0] + 360 * SECOND
     both = replace(both, gnss=replace(gnss, stamp=np.where(later, gnss.stamp - round(OFFSET * SECOND), gnss.stamp)))
     left = replace(finding(-2 * OFFSET), changes={'gnss.time_offset': -OFFSET})
     answers = [[finding()], [], [], [], [], [], [left]]
     said, work = of_chunks(both, answers, monkeypatch)
     names = [states for states, _ in said if f'{NAME}{OTHER}' in states]
     assert all(states[NAME] == (SUSPECT, True) for states in names)
-    assert said[-1][1] in ({'gnss.time_offset': -OFFSET}, {}) and said[13][1] == {'gnss.time_offset': OFFSET}
+    assert said[-1][1] in ({'gnss.time_offset': -OFFSET}, {}) and said[11][1] == {'gnss.time_offset': OFFSET}
 
 
 def test_what_has_become_wrong_is_dropped_within_a_minute(monkeypatch):
-    # given an offset that goes after eight minutes of sixteen, and was applied before
-    recording = drive(end=0.5)
-    changed, answers = recording.imu.stamp[0] + 480 * SECOND, iter([[finding()]])
+    # given an offset that goes after six minutes of twelve, and was applied before
+    recording = drive(end=0.5, minutes=12.0)
+    changed, answers = recording.imu.stamp[0] + 360 * SECOND, iter([[finding()]])
     monkeypatch.setattr(online, 'FIRST', CHUNK)
     watch = Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, look=blind,
                   find=lambda part, values: next(answers, []))
