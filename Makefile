@@ -35,7 +35,7 @@ test: compiled
 # ROS 2 with topics, clocks and logs, is the same
 OLDEST_TESTS := $(wildcard $(patsubst %, test/test_%.py, compiled numbers examples replay evaluation_outages \
     filter_columns filter_live filter_prediction filter_smoothing filter_update navigation* fusion_node* node_output \
-    node_start node_state_file characterize diagnosis_parts))
+    node_start node_state_file characterize))
 test-oldest: compiled-oldest
 	$(OLDEST)/python $(PYTEST) -k 'not killed and not interrupted and not overwritten' $(OLDEST_TESTS)
 
