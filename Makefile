@@ -1,6 +1,6 @@
 # make demo: simulate a city drive, replay it, print the position error of each sensor error model
 # make test: run the tests with the newest versions of all that is needed
-# make test-oldest: run those of the filter, the nodes and replay with the oldest (test/oldest.txt)
+# make test-oldest: run those that may fail with the oldest versions (test/oldest.txt)
 # make docs: the documentation as a site, docs/_build/index.html; fails where a link between pages is broken
 # Each sets up what it needs in .venv or .venv-oldest, ROS 2 included. PYTHON=python3.12 chooses another Python.
 PYTHON ?= python3
@@ -11,6 +11,11 @@ OLDEST := .venv-oldest/bin
 # wait for the other
 WORKERS := $(shell expr $$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN) + 1)
 PYTEST := -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+# s, after which a test counts as one that hangs: it fails, its file goes on in a new process. The longest one takes
+# some 30 s with both cores for it
+PYTEST += -o faulthandler_timeout=400 -o faulthandler_exit_on_timeout=true
+# tests start Python some hundred times: without bytecode each of them compiles the package's files, which takes 0.4 s
+unexport PYTHONDONTWRITEBYTECODE
 PIP := -m pip install --quiet --disable-pip-version-check
 
 .PHONY: demo test test-oldest compiled compiled-oldest docs
@@ -24,19 +29,21 @@ demo: .venv/ros
 test: compiled
 	$(BIN)/python $(PYTEST) test
 
-# what numba, NumPy, SciPy, matplotlib and rosbags do for the filter, the nodes and replay; not what the system does
-# with files and signals, nor what ROS 2 does with topics, clocks and logs: both are the same
-SAME := $(addprefix test/test_node_, killed.py log.py named_inputs.py says.py traffic.py)
+# what numba, NumPy, SciPy, matplotlib and rosbags may do otherwise: compile each function, give the filter's numbers
+# (test_numbers.py, to 1e-9, with all that it decides), read and write messages and arrays, calculate and draw for each
+# tool. What the filter makes of other drives follows from the numbers; what the system does with files and signals, and
+# ROS 2 with topics, clocks and logs, is the same
+OLDEST_TESTS := $(wildcard $(patsubst %, test/test_%.py, compiled numbers examples replay evaluation_outages \
+    filter_columns filter_live filter_prediction filter_smoothing filter_update navigation* fusion_node* node_output \
+    node_start node_state_file characterize))
 test-oldest: compiled-oldest
-	$(OLDEST)/python $(PYTEST) -k 'not killed and not interrupted and not overwritten' \
-	    $(filter-out $(SAME), $(wildcard test/test_replay*.py test/test_compiled.py test/test_fusion_node*.py \
-	    test/test_node*.py test/test_evaluation*.py test/test_filter*.py test/test_navigation*.py))
+	$(OLDEST)/python $(PYTEST) -k 'not killed and not interrupted and not overwritten' $(OLDEST_TESTS)
 
 # ahead: else each process of the tests does it
 compiled: .venv/ros,test
 	$(BIN)/python -m mems_ins_fusion compile
 
-compiled-oldest: .venv-oldest/ros,test
+compiled-oldest: .venv-oldest/ros
 	$(OLDEST)/python -m mems_ins_fusion compile
 
 docs: .venv/docs
@@ -48,7 +55,8 @@ docs: .venv/docs
 	$(BIN)/python $(PIP) --editable '.[$*]'
 	touch '$@'
 
+# bytecode as the tests need it: that of all packages takes a minute of a core, of which most is never read
 .venv-oldest/%: setup.py pyproject.toml test/oldest.txt
 	test -x $(OLDEST)/python || $(PYTHON) -m venv .venv-oldest
-	$(OLDEST)/python $(PIP) --editable '.[$*]' --constraint test/oldest.txt
+	$(OLDEST)/python $(PIP) --no-compile --editable '.[$*]' pytest pytest-xdist hypothesis --constraint test/oldest.txt
 	touch '$@'

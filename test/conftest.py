@@ -20,6 +20,32 @@ def shared_data(name: str) -> Path:
     return path
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """With `--dist loadfile`: as there, but a test that ends its process fails once, and the rest of its file goes on.
+
+    pytest-xdist 3.8 runs such a test again in each new process, and at times waits for ever for one that has ended.
+    """
+    from xdist.scheduler import LoadFileScheduling
+
+    class Files(LoadFileScheduling):
+        def remove_node(self, node):
+            files = self.assigned_work.pop(node)
+            for tests in files.values():
+                for test, is_done in tests.items():
+                    if not is_done:
+                        tests[test] = True
+                        self.workqueue.update((name, t) for name, t in files.items() if not all(t.values()))
+                        return test
+            return None
+
+        def _reschedule(self, node):
+            if node in self.registered_collections:  # else it is a new one, and is given work when it knows the tests
+                super()._reschedule(node)
+
+    return Files(config, log) if config.getoption('dist') == 'loadfile' else None
+
+
 @pytest.fixture
 def peer():
     """The test's side of the topics of a node, over real ROS 2."""

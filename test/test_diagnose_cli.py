@@ -41,7 +41,7 @@ def result(tmp_path_factory):
     folder = tmp_path_factory.mktemp('diagnose')
     values = table.check(PAPER)
     simulation = simulate_recording(
-        simulate_drive(400.0, 1, rate=50.0), SensorErrors.from_parameters(values, 'gauss_markov'), GnssNoise(sigma=0.5),
+        simulate_drive(400.0, 1, rate=25.0), SensorErrors.from_parameters(values, 'gauss_markov'), GnssNoise(sigma=0.5),
         [(EFFECTS['gnss_time_offset'], {'time_offset': OFFSET})], seed=1)
     write_recording(simulation.recording, folder / 'bag')
     (folder / 'given.yaml').write_text(GIVEN)

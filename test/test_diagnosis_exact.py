@@ -103,7 +103,7 @@ def test_what_is_held_is_in_the_sigma_of_what_is_set(drive, monkeypatch):
     trials = SimpleNamespace(library=[EFFECTS['gnss_time_offset']], origin=SimpleNamespace(given=given),
                              beside=SimpleNamespace(track=shown))
     monkeypatch.setattr(conclusion, 'by_drive_of', lambda *model_and_unknowns: ({}, False))
-    [said] = conclusion._final(SimpleNamespace(model=model, findings=[finding], noise=0), {}, given, trials)
+    [said] = conclusion._final_findings(SimpleNamespace(model=model, findings=[finding], noise=0), {}, given, trials)
     further = of_what_is_held(model, shown, given)[0]
     assert further > 0.05 and further < said.parameters['time_offset'].sigma < 1.2 * np.hypot(further, model.sigma()[0])
 

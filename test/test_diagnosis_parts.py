@@ -15,7 +15,7 @@ from mems_ins_fusion.diagnosis.held_out import held_out
 from mems_ins_fusion.diagnosis.judgement import compared, harm
 from mems_ins_fusion.diagnosis.learned_mounting import angles
 from mems_ins_fusion.diagnosis.measured import fairly, measure
-from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, believed, looked_through, stated
+from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, believed, stated, without_adaptation
 from mems_ins_fusion.diagnosis.trial_runs import FOR_EFFECTS, FOR_LEVELS, REPORTED, TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import compare, truth_of
@@ -152,7 +152,7 @@ def test_a_mounting_that_is_no_state_is_not_learned():
 
 def test_the_search_looks_through_a_filter_that_adapts_to_nothing(late):
     values = table.check({'gnss.sigma': 0.7, 'gnss.time_offset_sigma': 0.3})
-    config = FilterConfig.from_parameters(looked_through(values, late))
+    config = FilterConfig.from_parameters(without_adaptation(values, late))
     assert config.gnss.gate == config.parameters['gnss.robust_sigma'] == 0 and not config.parameters['gnss.adapt_sigma']
     assert 'time_offset' not in config.layout.names
     # each fix is believed as the filter of the user would, and FLOOR

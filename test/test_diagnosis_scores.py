@@ -24,8 +24,8 @@ from mems_ins_fusion.diagnosis.judgement import (
     harm,
     judged,
     objection,
+    objection_to_errors,
     predicted,
-    unproven,
 )
 from mems_ins_fusion.diagnosis.measured import Measured, in_common
 from mems_ins_fusion.diagnosis.noise_levels import choose, multiplied
@@ -259,7 +259,7 @@ def row(before, after, p=0.5, rms=(0.0, 0.0), within=(1.0, 1.0), count=20, decid
 
 
 def proven(rows):
-    return not unproven(rows)
+    return not objection_to_errors(rows)
 
 
 def test_what_speaks_against_an_effect():

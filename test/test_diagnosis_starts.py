@@ -9,7 +9,7 @@ import pytest
 
 from mems_ins_fusion.configuration.offset import Offset, together
 from mems_ins_fusion.diagnosis import conclusion, search
-from mems_ins_fusion.diagnosis.conclusion import _final
+from mems_ins_fusion.diagnosis.conclusion import _final_findings
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
 from mems_ins_fusion.diagnosis.estimate import SYSTEMATIC, Estimate
@@ -131,7 +131,7 @@ def test_what_the_track_shows_for_certain_is_told_even_where_held_out_data_do_no
     for certain in ((), ('gnss_time_offset',)):
         trials = SimpleNamespace(library=[], origin=SimpleNamespace(given={}), beside=SimpleNamespace(track=None),
                                  certain=certain)
-        said[certain] = _final(SimpleNamespace(model=model, findings=[told]), {}, {}, trials)
+        said[certain] = _final_findings(SimpleNamespace(model=model, findings=[told]), {}, {}, trials)
     # then it is told only where the checker tells it, too
     assert not said[()] and [finding.name for finding in said['gnss_time_offset',]] == ['gnss_time_offset']
 
@@ -212,7 +212,8 @@ def test_nothing_stands_for_an_offset_that_the_track_shows_for_certain(late, mon
         bench = SimpleNamespace(certain=certain, enough=lambda share: True,
                                 shown={'gnss_time_offset.time_offset': Estimate(0.6, 0.1, 's')})
         bench.told = MethodType(TrialRuns.told, bench)
-        told[certain] = search._tried(known, [(c, np.zeros(0)) for c in candidates], candidates, bench).findings[0]
+        significant = [(c, np.zeros(0)) for c in candidates]
+        told[certain] = search._with_best_of(known, significant, candidates, bench).findings[0]
     # then it is told by its name, where else the other one would be, and with the size that the track shows
     assert [f.name for f in told.values()] == ['gnss_coloured_noise', 'gnss_time_offset']
     assert [f.parameters['time_offset'].value for f in told.values()] == [0.9, 0.6]

@@ -5,8 +5,8 @@ import time
 
 from fuzz_support import cases, outcome
 
-#: s; `make test` has other things to do
-BUDGET, CASES = 20.0, 150
+#: s of the clock, and number of cases: two or three of each kind of file
+BUDGET, CASES = 20.0, 60
 
 
 def test_spoiled_input_gives_a_result_or_one_line(tmp_path):

@@ -53,17 +53,16 @@ def test_a_tool_that_is_killed_leaves_the_old_result_or_the_new_one(name, bag, t
 
     def command(which):
         return simulate(output, (20, 25)[which]) if name == 'simulate' else replay(output, bag, (1.0, 2.0)[which])
-    # given an old result, and what the new one would be
-    run(command(1))
-    new = content(output)
+    # given an old result
     seconds = run(command(0))
-    old = content(output)
-    assert old != new and old
-    # when the tool is killed at several moments, then one of both is there, complete
+    old, there = content(output), []
+    # when a tool that makes a new one is killed at several moments, and the next one is not
     for moment in range(1, MOMENTS + 1):
         run(command(1), kill_after=seconds * moment / MOMENTS)
-        assert content(output) in (old, new)
-    # and the next one finds nothing that hinders it, and leaves nothing else
+        there.append(content(output))
     run(command(1))
-    assert content(output) == new
+    # then after each there was the old one or the new one, complete, and nothing else is left
+    new = content(output)
+    assert old != new and old
+    assert all(found in (old, new) for found in there)
     assert [path.name for path in tmp_path.iterdir()] == ['result']

@@ -1,8 +1,10 @@
-"""What a recording has besides the IMU and its first receiver: what each topic measures, its unit, place and clock.
+"""The topics of a recording besides the IMU and the first receiver: what each measures, its unit, place and time
+offset.
 
-A type of message does not tell: geometry_msgs/TwistWithCovarianceStamped is a wheel speed, a receiver's velocity or an
-odometry. What it goes with does: the speed of the fixes along one axis, their velocity north and east, the turn rate of
-the gyroscopes. What none of these shows is left to its name, and what the name does not tell either is not used.
+The type of its messages does not say what a topic measures: geometry_msgs/TwistWithCovarianceStamped can be a wheel
+speed, the velocity of a receiver or an odometry. It is identified by its correlation with the speed of the fixes along
+one axis, with their velocity north and east, or with the turn rate of the gyroscopes; else by its name. A topic that
+neither identifies is not used.
 """
 from __future__ import annotations
 
@@ -39,35 +41,38 @@ from mems_ins_fusion.recordings.motion import scatter_at_rest, sigmas
 from mems_ins_fusion.recordings.units import find_units, in_si
 from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Twists
 
-#: kinds that tell a speed along the nose
+#: kinds of measurements that contain the forward speed
 WHEELED = 'speed', 'twist', 'pose'
-#: whose clocks can be seen (`clock_of`)
+#: kinds whose time offset can be estimated (`clock_of`)
 CLOCKED = (*WHEELED, 'velocity', 'heading', 'fix')
-#: names that say that wheels measure it; that another sensor does
+# what names of topics say: measured by wheels, by another sensor,
 WHEELS = re.compile(r'wheel|vehicle|(^|/|_)can($|/|_)', re.IGNORECASE)
 OTHER_SENSORS = re.compile(r'lidar|laser|vision|visual|camera|vio', re.IGNORECASE)
-#: that it is the receiver's; that it is a heading
+# by a receiver, a heading,
 _RECEIVER = re.compile(r'gps|gnss|fix', re.IGNORECASE)
 _HEADING = re.compile(r'heading|yaw|compass|gps|gnss|antenna', re.IGNORECASE)
-#: that it is a result, which has seen the fixes, or a reference
+# the result of a filter that has used the fixes, or a reference
 RESULT = re.compile(r'reference|truth|fused|filter|ekf|estimate|initial|gt($|/)', re.IGNORECASE)
-_TURNING = 0.9  # correlation of a turn rate with that of the gyroscopes, in size: less is no turn rate
-_HEADING_TURNS = 0.5  # the same of one that follows the course, from whose noise the rate is computed
-# of the scatter that two receivers have against each other if each has its own errors: with less they are the same
+_TURNING = 0.9  # smallest correlation (absolute value) of a turn rate with that of the gyroscopes
+_HEADING_TURNS = 0.5  # the same for the derivative of a heading, which is noisier
+# smallest ratio of the actual scatter of the difference of two receivers and the expected one of independent errors:
+# with less they are the same receiver
 _IN_COMMON = 0.7
-LEAST_APART = 0.1  # m: antennas of one place, each with a centre of phase of its own
-_ARM_KNOWN = 0.3  # m: where the second antenna is has to be known to this, or to the noise of its fixes
+LEAST_APART = 0.1  # m, smallest distance of two antennas: the phase centres of one antenna differ by less
+_ARM_KNOWN = 0.3  # m, largest sigma of the place of a second antenna that is used, or the noise of its fixes
 
 
 @dataclass(frozen=True)
 class InputShown:
-    """What one recording shows of a topic. measurement: the plain one of its kind. why: how that is known. factor:
-    makes SI units of it. turned: rad, by which a heading is off clockwise. lag: s, and sigma, None where not shown: as
-    its time offset, of a further receiver against the first one. arm: (3,) m, forward-left-up, and sigma (3,), infinite
-    where not shown: from the IMU, of a further receiver from the first antenna. sigma: m, white, of a receiver that
-    states less. rotation: (3, 3) from its axes to those of the first IMU, and sigma, rad, of a further IMU, and units,
-    of its accelerometers and gyroscopes. unplaced: why its arm is not known as well as it has to be, '' where it is: it
-    is used only where the transforms tell it. messages: how many, and how often.
+    """What one recording shows of a topic.
+
+    measurement: its kind. why: how that is known, in words. factor: converts it to SI units. turned: rad, constant
+    error of a heading, clockwise. lag: time offset, s, and its sigma, None if unknown; of a further receiver against
+    the first one. arm: (3,) m, forward-left-up, and its sigma (3,), infinite if unknown; from the IMU, of a further
+    receiver from the first antenna. sigma: m, of the white noise of a receiver that states less; else None. rotation:
+    of a further IMU, (3, 3) from its axes to those of the first one, and its sigma, rad; units: those of its
+    accelerometers and gyroscopes. unplaced: in words, why `arm` is not known well enough; empty if it is. Such an input
+    is used only if the transforms contain its place. messages: their number and rate, in words.
     """
 
     topic: str
@@ -86,7 +91,7 @@ class InputShown:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A topic that is not used, and why."""
+    """A topic that is not used. why: in words."""
 
     topic: str
     why: str
@@ -96,9 +101,9 @@ def shown_inputs(readings: Mapping[str, Mapping[str, object]], receivers: Mappin
                  fixes: Fixes | None, still: np.ndarray, mounting: Mounting | None) -> list[InputShown | LeftOut]:
     """What one recording shows of each topic, in their order.
 
-    readings: by topic and name of a measurement, the samples if it is one of that. receivers: by topic, the fixes of
-    further receivers. imu: SI units. fixes: usable ones of the first receiver, None without. still: (n,) samples at
-    rest.
+    readings: by topic and by each kind of measurement that it may be, the samples read so. receivers: by topic, the
+    fixes of further receivers. imu: SI units. fixes: usable ones of the first receiver, None without. still: (n,) bool,
+    samples at rest.
     """
     rotation = mounting.rotation if mounting is not None and mounting.yaw_known else None
     found = [_counted(_receiver(topic, others, imu, fixes, still), others) for topic, others in receivers.items()]
@@ -132,7 +137,7 @@ def _counted(shown: InputShown | LeftOut, samples) -> InputShown | LeftOut:
 
 
 def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
-    """What the topic measures."""
+    """The kind of measurement of a topic, or why it is not used."""
     if RESULT.search(topic):
         return LeftOut(topic, 'a result or a reference by its name')
     if 'pressure' in read:
@@ -164,7 +169,8 @@ def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
 
 
 def _pose(topic, displacements, imu, fixes, rotation):
-    """Of poses only the way between them tells, and it has to be shown: they may be of any axes."""
+    """A topic with poses. Only the displacements between them are used, if these agree with fixes and gyroscopes: the
+    axes of the poses are unknown."""
     factor = speed_factor(forwards(displacements), fixes)
     if factor is None or not math.isfinite(factor):
         return LeftOut(topic, 'the way between its poses does not go with the speed of the fixes')
@@ -175,7 +181,8 @@ def _pose(topic, displacements, imu, fixes, rotation):
 
 
 def _magnetometer(topic, fields, fixes):
-    """Iron and currents disturb it: only for who has nothing better."""
+    """A topic with a magnetic field. Iron and currents disturb it, so it is used only if nothing else shows the
+    heading."""
     factor = magnetic_factor(fields)
     if factor is None:
         return LeftOut(topic, 'no magnetic field of the earth in any unit')
@@ -205,7 +212,7 @@ def _points_along(velocities, fixes) -> bool:
 
 
 def _timed(shown: InputShown, read, imu, fixes, rotation) -> InputShown:
-    """With its clock and, of wheels, their place."""
+    """`shown` with its time offset and, for wheels, their place."""
     lag, left = clock_of(shown.measurement.name, _in_si(read[shown.measurement.name], shown.factor), imu, fixes,
                          rotation)
     if left is None:
@@ -221,12 +228,12 @@ def _in_si(samples, factor: float):
 
 
 def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, rotation: np.ndarray | None):
-    """How late the stamps of an input are, s, with its sigma, None where it is not shown: of a GNSS velocity and of a
-    further receiver against `fixes`, of others against the IMU. And, of wheels, how far to the left of the IMU they
-    are, m, with its sigma, or None.
+    """Time offset of an input, s, with its sigma, or None if unknown: of a GNSS velocity and of a further receiver
+    against `fixes`, of others against the IMU. And for wheels, their distance to the left of the IMU, m, with its
+    sigma, or None.
 
-    kind: name of its plain measurement. samples: its own, m/s, positive forwards. imu: SI units. fixes: usable ones of
-    the first receiver. rotation: (3, 3) from sensor axes to base_link, None where it is not shown.
+    kind: name of its measurement. samples: m/s, positive forwards. imu: SI units. fixes: usable ones of the first
+    receiver. rotation: (3, 3) from sensor axes to base_link, None if unknown.
     """
     shown, left = [], None
     if kind == 'velocity' and fixes is not None:
@@ -239,20 +246,21 @@ def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, rotation:
     elif kind in WHEELED and rotation is not None:
         offset = estimate_speed_offset(imu, forwards(samples), rotation)
         left = offset.left if offset is not None else None
-        # of an odometry the turn rate beside it, too: the better known of the two counts
+        # for an odometry also from its turn rate; the estimate with the smaller sigma is taken
         shown = [offset, _turning(imu, samples, rotation) if kind != 'speed' else None]
     lags = [(one.lag, one.lag_sigma) for one in shown if one is not None and one.lag_sigma < SHOWN]
     return min(lags, key=lambda lag: lag[1], default=None), left
 
 
 def _turning(imu, twists, rotation, least=_TURNING) -> TurnOffset | None:
-    """None where the turn rate is not that of the gyroscopes, in either sense."""
+    """Time offset from the turn rate; None if that is not correlated with the gyroscopes, with either sign."""
     turn = estimate_turn_offset(imu, twists, rotation)
     return turn if turn is not None and abs(turn.correlation) > least else None
 
 
 def _receiver(topic, others: Fixes, imu, fixes, still) -> InputShown | LeftOut:
-    """A further receiver, where its antenna is another one or its errors are not those of the first one."""
+    """A further receiver, if its antenna is at another place or its errors are independent of those of the first one.
+    """
     others = usable_fixes(others)
     if fixes is None or len(others) < 2:
         return LeftOut(topic, 'too few fixes')
@@ -280,8 +288,8 @@ def _receiver(topic, others: Fixes, imu, fixes, still) -> InputShown | LeftOut:
 
 
 def _less(first: Fixes, second: Fixes, late: float) -> Fixes:
-    """`first` moved by what `second` is off its own first fix: what scatters of it is the difference. late: s, the
-    second ones' stamps against the first ones'."""
+    """`first` minus the displacement of `second` from its own first fix, so that the scatter is that of the difference.
+    late: s, time offset of the second one against the first one."""
     at, time = first.stamp - first.stamp[0], second.stamp - first.stamp[0] - round(late * 1e9)
     both = (at >= time[0]) & (at <= time[-1])
     first, longitude = first.select(both), near(second.longitude, second.longitude[0])
@@ -290,8 +298,8 @@ def _less(first: Fixes, second: Fixes, late: float) -> Fixes:
 
 
 def _without_repeats(found: list[InputShown | LeftOut]) -> list[InputShown | LeftOut]:
-    """With those left out that measure what another one measures already: the same wheels, receiver or air. Of a speed
-    and an odometry of the same wheels the odometry stays, which has the turn rate, too."""
+    """`found` without topics that may repeat another one: the same wheels, receiver or air. Of a speed and an odometry
+    of the same wheels the odometry stays, because it also has the turn rate."""
     kept: dict[int, InputShown | LeftOut] = {}
     odometry = [isinstance(one, InputShown) and one.measurement.name == 'twist' for one in found]
     for k in np.argsort(np.logical_not(odometry), kind='stable').tolist():
@@ -304,8 +312,8 @@ def _without_repeats(found: list[InputShown | LeftOut]) -> list[InputShown | Lef
 
 
 def _same_source(one: InputShown, other: InputShown) -> bool:
-    """Whether two inputs may be the same sensor twice: of one kind, a speed and an odometry too, and at no two places.
-    Of receivers that has been judged."""
+    """Whether two inputs may be one sensor: of the same kind (or a speed and an odometry), and not shown to be at
+    different places. False for receivers, which `_receiver` has compared."""
     kinds = {one.measurement.name, other.measurement.name}
     if kinds == {'fix'} or len(kinds) > 1 and not kinds <= set(WHEELED):
         return False

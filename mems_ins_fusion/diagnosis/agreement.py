@@ -1,4 +1,4 @@
-"""Do several drives agree on an effect? What one drive has and another has not is not the vehicle's."""
+"""Do several drives agree on an effect? One that only some of the drives have is not a property of the vehicle."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -12,20 +12,21 @@ from .fit import Model
 from .problem import blocks
 from .tracing import Candidate, significance
 
-#: a drive, or all others, would rather have no effect than that of the other side: twice the log likelihood
+#: twice the log likelihood by which one part of the data prefers no effect to that of the other part, above which the
+#: two contradict each other
 AGAINST = 9.0
 
 
 @dataclass(frozen=True)
 class _Side:
-    """What a part of the data says alone: unknowns (p,), the inverse of their covariance (p, p), and sigma (p,)."""
+    """Estimates from a part of the data: unknowns (p,), the inverse of their covariance (p, p), and sigma (p,)."""
 
     x: np.ndarray
     weight: np.ndarray
     sigma: np.ndarray
 
     def against(self, other: np.ndarray) -> float:
-        """How much rather it has none than `other` (p,), twice the log likelihood."""
+        """Twice the log likelihood ratio of no effect to the effect `other` (p,)."""
         away = other - self.x
         return float(away @ self.weight @ away - self.x @ self.weight @ self.x)
 
@@ -35,9 +36,8 @@ class _Side:
 
 
 def by_drive(model: Model, noise: int, chosen) -> dict[str, dict[str, Estimate]]:
-    """What each of several drives says of the unknowns `chosen` (indices), with all that is no noise level free.
-
-    By name of the drive and parameter; without unit. Nothing where there is one drive.
+    """Estimates of the unknowns `chosen` (indices) from each of several drives, by the name of the drive and of the
+    parameter, without unit; empty for one drive. All unknowns but the noise levels are estimated.
     """
     drives = model.problem.each
     if len(drives) < 2:
@@ -52,7 +52,8 @@ def by_drive(model: Model, noise: int, chosen) -> dict[str, dict[str, Estimate]]
 
 
 def contradicted(model: Model, noise: int, chosen) -> bool:
-    """Whether a drive, or the others without it, would rather have none of `chosen` than what the other side says."""
+    """Whether a drive contradicts all others, or these the drive: no effect is clearly more likely than the estimate of
+    `chosen` from the other side."""
     if len(model.problem.each) < 2 or not len(chosen):
         return False
     for mask in _masks(model):
@@ -63,9 +64,8 @@ def contradicted(model: Model, noise: int, chosen) -> bool:
 
 
 def plainest_in_one(candidates: Sequence[Candidate], problem: Drives) -> tuple[Candidate, float] | None:
-    """The candidate that one of several drives shows most plainly, and p with all drives and candidates counted.
-
-    What one drive has and another has not scatters from block to block, so that all together show it the less.
+    """The candidate with the smallest p value in a single drive, and that p value, corrected for the number of drives
+    and candidates. An effect that only one drive has scatters over blocks, so it is less significant in all together.
     """
     tests = [(candidate, p) for candidate in candidates if candidate.scores is not None
              for p in _in_each(candidate, problem)]
@@ -76,7 +76,7 @@ def plainest_in_one(candidates: Sequence[Candidate], problem: Drives) -> tuple[C
 
 
 def _in_each(candidate: Candidate, problem: Drives) -> list[float]:
-    """p of a candidate in each of several drives."""
+    """P value of a candidate in each of several drives."""
     found = []
     usual = np.array([u.usual for u in candidate.unknowns])
     for drive, where in zip(problem.each, problem.slices) if len(problem.each) > 1 else ():
@@ -93,7 +93,8 @@ def _masks(model: Model) -> list[np.ndarray]:
 
 
 def _side(model: Model, mask: np.ndarray, noise: int, chosen) -> _Side:
-    """By the information, or by how the scores of blocks scatter, what says less."""
+    """Estimates from the fixes of `mask`; their covariance is from the information or, if larger, from the scatter of
+    the scores of blocks."""
     x, covariance = model.refitted(mask, noise)
     chosen, counted = np.asarray(chosen), mask[model.problem.mask]
     score = np.where(counted[:, None], model.scores.score[model.problem.mask], 0.0)
@@ -102,7 +103,7 @@ def _side(model: Model, mask: np.ndarray, noise: int, chosen) -> _Side:
     moved = np.where(np.arange(len(x)) < noise, 0.0, x - model.x)
     weight, excess = np.linalg.inv(covariance[np.ix_(chosen, chosen)]), 1.0
     for begins in blocks(model.problem):
-        # what the estimate itself adds to a block is no scatter
+        # without the part of the estimate itself
         sums = np.add.reduceat(score, begins) - np.add.reduceat(products, begins) @ moved
         spread = (covariance @ (sums.T @ sums) @ covariance)[np.ix_(chosen, chosen)]
         excess = max(excess, float(np.trace(weight @ spread)) / len(chosen))
@@ -110,6 +111,6 @@ def _side(model: Model, mask: np.ndarray, noise: int, chosen) -> _Side:
 
 
 def said(drives: Mapping[str, Mapping[str, Estimate]]) -> str:
-    """What each drive says, for a person."""
+    """The estimates from each drive as text."""
     return '; '.join(f'{name}: ' + ', '.join(f'{p} {e.text()}' for p, e in found.items())
                      for name, found in drives.items())

@@ -1,10 +1,12 @@
-"""In which clock the reference runs: that of the IMU, that of the receiver, or its own (`reference_clock`).
+"""The clock of the stamps of the reference: that of the IMU, that of the receiver, or its own (`reference_clock`).
 
-Reference and fixes are positions of the same vehicle, so how late one is against the other shows without any filter.
-Where they agree in time, the reference goes with the fixes: whatever offset is found for these is its, too, and it
-neither speaks for one nor against it. A reference with a clock of its own judges all but time: errors are measured with
-the difference that suits each track best. Where they do not agree, or nobody can tell, it is taken for one in the IMU's
-clock as long as it agrees with what is found, and for one with its own where it does not.
+Reference and fixes are positions of the same vehicle, so their time offset shows without a filter.
+- If it is zero, the reference has the clock of the fixes: a time offset that is found for the fixes is also that of the
+  reference, which neither confirms nor contradicts it.
+- A reference with its own clock is the truth in all but time: errors are measured with the time offset that fits each
+  track best.
+- If the offset is not zero or not known, the reference is treated as if it had the clock of the IMU, as long as it does
+  not contradict what is found; and as if it had its own otherwise.
 """
 from __future__ import annotations
 
@@ -21,24 +23,18 @@ from ..samples import Fixes, Recording, Reference
 
 IMU, GNSS, OWN, AUTO = 'imu', 'gnss', 'own', 'auto'
 
-#: s by which two clocks differ at most that count as the same
-SAME = 0.02
-#: sigmas by which they have to differ from that to be different ones
-SIGMAS = 2.0
-#: s: with a larger sigma nothing is told of them
-UNKNOWN = 0.03
-#: fixes in blocks of this length count as one, s
-BLOCK = 20.0
-#: who is slower shows no time, m/s
-SLOWEST = 1.0
-#: times that a track's lateness is looked for about the one before
-ITERATIONS = 3
+SAME = 0.02  # s, largest time offset with which two clocks count as the same
+SIGMAS = 2.0  # number of sigmas by which the offset must exceed SAME for them to be different
+UNKNOWN = 0.03  # s, largest sigma with which the offset counts as known
+BLOCK = 20.0  # s, length of blocks of fixes whose errors may be correlated
+SLOWEST = 1.0  # m/s, lowest speed at which positions show a time offset
+ITERATIONS = 3  # number of linearizations when the time offset of a track is estimated
 
 
 @dataclass(frozen=True)
 class Clock:
-    """name: IMU, GNSS, OWN, or AUTO where it may be either of IMU and OWN. late, sigma: s, by which the stamps of the
-    reference are later than those of the fixes; NaN where that does not show."""
+    """The clock of the reference. name: IMU, GNSS, OWN, or AUTO if it may be IMU or OWN. late, sigma: s by which the
+    stamps of the reference are later than those of the fixes; NaN if unknown."""
 
     name: str
     late: float
@@ -46,7 +42,7 @@ class Clock:
 
 
 def whose(recording: Recording, name: str) -> Clock:
-    """The clock of the reference, `name` by `reference_clock`; without a reference the truth are the fixes."""
+    """The clock of the reference; without one the fixes are the truth. name: the parameter `reference_clock`."""
     if recording.reference is None or recording.gnss is None:
         return Clock(GNSS, 0.0, 0.0)
     late, sigma = lateness(recording.reference, recording.gnss)
@@ -55,9 +51,9 @@ def whose(recording: Recording, name: str) -> Clock:
 
 
 def lateness(reference: Reference, fixes: Fixes) -> tuple[float, float]:
-    """By how much the stamps of the reference are later than those of the fixes, s, and sigma; NaN if it moves little.
+    """s by which the stamps of the reference are later than those of the fixes, and sigma; NaN with too little motion.
 
-    Along its velocity the reference differs from the fixes by the speed times that; sigma from the scatter of blocks.
+    The difference of the positions along the velocity is the speed times the offset. sigma: from the scatter of blocks.
     """
     fixes = fixes.select(is_fix(fixes))
     stamp, first = np.unique(reference.stamp, return_index=True)
@@ -84,9 +80,9 @@ def lateness(reference: Reference, fixes: Fixes) -> tuple[float, float]:
 
 
 def lateness_against(track: Run, truth: Truth) -> float:
-    """By how much the stamps of the truth are later than those of a filter's track, s; 0 where that does not show."""
+    """s by which the stamps of the truth are later than those of a filter's track; 0 if unknown."""
     late = 0.0
-    for _ in range(ITERATIONS):  # the longer it is, the less a velocity tells of the way
+    for _ in range(ITERATIONS):  # the velocity is not constant over a long offset
         errors = position_errors(track, earlier(truth, round(late * 1e9)), np.zeros(len(truth), dtype=bool))
         if not len(errors):
             return late
@@ -103,15 +99,14 @@ def earlier(truth: Truth, shift: int) -> Truth:
 
 
 def _along(at: np.ndarray, off: np.ndarray, velocity: np.ndarray) -> tuple[float, float]:
-    """The time, s, that multiplied by the `velocity` (m, 2) is `off` (m, 2), and sigma; NaN where little moves.
-
-    at: s. What lies apart from the others does not count.
+    """The time offset, s, that best explains the differences `off` (k, 2), m, as `velocity` (k, 2) times the offset,
+    and its sigma; NaN with too little motion. at (k,): s. Outliers are left out.
     """
     distance = np.linalg.norm(off - np.median(off, axis=0), axis=1) if len(off) else np.zeros(0)
     good = (np.linalg.norm(velocity, axis=1) > SLOWEST) & (distance < 5 * np.median(distance) + 1.0)
     if good.sum() < 20:
         return float('nan'), float('nan')
-    # about their means: an antenna elsewhere, or another map, is no time
+    # without their means: a constant difference is that of another antenna or datum, not of time
     off, velocity = (v[good] - v[good].mean(axis=0) for v in (off, velocity))
     block = np.unique((at[good] // BLOCK).astype(int), return_inverse=True)[1]
     share, weight = (np.bincount(block, (velocity * v).sum(axis=1)) for v in (off, velocity))

@@ -1,4 +1,4 @@
-"""What a search has found, made into parameters: which corrections are proven together, and what a user is told."""
+"""From the result of a search to corrected parameters: which corrections are proven together, and the report on it."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from .exact import sigmas
 from .findings import Diagnosis, Finding
 from .folds import parts, which_part
 from .held_out import HeldOut
-from .judgement import RUNS, compared, gain_proven, judged, predicts_worse, unproven
+from .judgement import RUNS, compared, gain_proven, judged, objection_to_errors, predicts_worse
 from .judging import by_drive_of
 from .known import Known
 from .measured import Measured, in_common, saved
@@ -26,20 +26,17 @@ from .problem import Problem
 from .trial_runs import CHOOSING, LOOKING, MEASURING, TrialRuns
 from .unexplained import GoesWith, goes_with
 
-#: rad/s, root mean square, from which on a recording has turns
-TURNING = 0.03
-#: m/s^2, root mean square, from which on it has changes of speed
-SPEEDING = 0.15
-#: s; a recording says little of a part of it that has no fixes for longer
-LONGEST_GAP = 30.0
-#: share of LARGEST_FACTOR from which on a fitted noise level stands at it: a fit comes near a bound, not onto it
+TURNING = 0.03  # rad/s, smallest root mean square of the yaw rate with which a recording has enough turns
+SPEEDING = 0.15  # m/s^2, smallest root mean square of the acceleration with which it has enough changes of speed
+LONGEST_GAP = 30.0  # s, longest time without a fix that is not remarked on: such a part shows little
+#: share of LARGEST_FACTOR above which a fitted noise level counts as at this bound: a fit comes near it, not onto it
 AT_BOUND = 0.95
 MOUNTING = 'mounting_rotation'
-#: why what was found is told and not added
+#: why a finding is reported but not added
 NO_PROOF = 'no smaller error is proven with it'
-#: the same, where what it predicts is worse for certain
+#: the same, if predictions are certainly worse with it
 PREDICTS_WORSE = 'errors and sigmas together predict positions less well with it'
-#: what is told of settings that are tried the other way round, where positions are predicted better so
+#: remarks on boolean settings, by the value with which positions are predicted better than with the given one
 _SWITCHED = {
     'imu.adapt_noise': {
         False: 'What the IMU scatters from one sample to the next is no noise that adds up',
@@ -51,8 +48,12 @@ _SWITCHED = {
 
 @dataclass(frozen=True)
 class Correction:
-    """One way to correct the parameters: for the whole drive, and by the part that is held out. beside: the same
-    without other noise levels, and without settings the other way round: what these have to be better than."""
+    """One way to correct the parameters.
+
+    values: fitted to all data. by_part: fitted with each part held out in turn. factors: of the noise levels. effects:
+    whether effects are part of it. settings: findings of a direct look at the recording. beside: the same correction
+    without its noise levels or switched settings, which have to be better than that.
+    """
 
     values: dict
     by_part: list[dict]
@@ -62,7 +63,7 @@ class Correction:
     beside: tuple[Correction, ...] = ()
 
     def switched(self, name: str) -> Correction:
-        """With this setting the other way round."""
+        """The same correction with the other value of a boolean setting."""
         values, *by_part = ({**v, name: not v[name]} for v in (self.values, *self.by_part))
         return replace(self, values=values, by_part=by_part,
                        beside=(self, *(one.switched(name) for one in self.beside)))
@@ -78,16 +79,16 @@ class Tried:
 
 
 def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
-    """The corrections that are proven, and the errors before and after."""
+    """The diagnosis: the corrections that are proven, and the errors before and after."""
     trials.origin.watched(None)
     trials.tell(CHOOSING, 'choosing noise levels')
     given = trials.origin.given
     configured = Correction(given, [given], {}, False)
-    fitted = _levelled(configured, trials)
-    ran = _running(configured, trials)
-    # errors are those of filters fitted to a part; that of corrected.yaml has to run as well
+    fitted = _with_noise_levels(configured, trials)
+    ran = _fixes_while_running(configured, trials)
+    # errors are measured with filters fitted to a part; the filter of corrected.yaml has to run, too
     corrections = [option for option in _options(known, fitted, configured, trials)
-                   if _running(option, trials) >= RUNS * ran]
+                   if _fixes_while_running(option, trials) >= RUNS * ran]
     trials.tell(MEASURING, 'measuring errors')
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
     correction, after, verdict, judged_by, against = _chosen([
@@ -101,7 +102,7 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
         (tuple(_only_told(f, against) for f in option.settings) for option in corrections if option.settings), ())
     hidden = _not_shown(known, direct)
     # a finding is added only where corrected.yaml holds it
-    findings = _final(known, hidden, correction.values, trials)
+    findings = _final_findings(known, hidden, correction.values, trials)
     findings = [*(findings if correction.effects else (
         replace(_only_told(f, against), parameters=trials.told(f.name, f.parameters)) for f in findings)),
                 *direct]
@@ -133,24 +134,28 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
 
 def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
             wanted: dict[str, bool]) -> tuple[Correction, Measured, Verdict, Measured, str]:
-    """Of the corrections tried, what predicts best first and what was given last, the one for corrected.yaml.
+    """The correction for corrected.yaml.
 
-    Effects first, as other noise levels hide them; then what makes errors smaller for certain, which a user feels
-    more than better predictions. Each part of a correction has a proof of its own, whatever else it holds: so a params
-    file that has the effects already gets the same noise levels as one that does not. Effects have it by the likelihood
-    of held-out data, noise levels and settings beside the same filter without them (`_stands`). All of it counts
-    where errors are smaller for certain, or where it is proven so and no error grows: who stamps fixes late has the
-    withheld ones late as well, so that errors against these need not tell. Where no correction has all these proofs,
-    effects count together with noise levels and settings if errors are smaller for certain: what was given is worse.
-    Else what was given, with the verdict on the best of what was tried. Then the errors that the verdict is about: of
-    the correction, or of what was tried. Last what speaks against effects that are not in it.
+    tried: the best predictions first, the given parameters last. wanted: settings that the recording asks for
+    (`TrialRuns.without_standstills`); preferred if they do no harm.
 
-    wanted: settings that the recording asks for (`TrialRuns.without_standstills`), preferred where they do no harm.
+    Corrections with effects come first, because other noise levels can hide effects; then those with certainly smaller
+    errors, which matter more to a user than better predictions. The first one is taken that meets two conditions:
+    - Each of its parts is proven by itself, so that a params file that has the effects already gets the same noise
+      levels as one that has not. Effects are proven by the likelihood of held-out data, noise levels and settings
+      against the same filter without them (`_each_part_proven`).
+    - Its errors are certainly smaller, or no error is larger. The latter is enough, because errors against withheld
+      fixes need not show an effect: fixes that are stamped late are late where they are withheld, too.
+    If there is none, the first one with effects and certainly smaller errors is taken, as the given parameters are
+    worse; else the given parameters.
+
+    Returns the correction, its errors, the verdict, the errors that this is about (of the correction, or if the given
+    parameters stay, of the best one tried), and what speaks against the effects that are left out.
     """
     against = ''
     ordered = sorted(tried[:-1], key=lambda found: (
         not found[0].correction.effects, found[1].answer != BETTER, not _has(found[0].correction.values, wanted)))
-    stand = [found for found in ordered if _stands(found[0], wanted)]
+    stand = [found for found in ordered if _each_part_proven(found[0], wanted)]
     for one, verdict in [*stand, *(f for f in ordered if f[0].correction.effects and f[1].answer == BETTER)]:
         worse = '' if verdict.answer == BETTER else _worse(before, one.errors) or (
             NO_PROOF if verdict.answer == WORSE else '')
@@ -166,21 +171,21 @@ def _has(values: dict, settings: dict) -> bool:
     return {**values, **settings} == values
 
 
-def _stands(one: Tried, wanted: dict[str, bool]) -> bool:
-    """Whether the noise levels and settings of a correction have a gain of their own, beside the same filter without.
-    `wanted` settings need none: they must do no harm."""
+def _each_part_proven(one: Tried, wanted: dict[str, bool]) -> bool:
+    """Whether the noise levels and settings of a correction are proven against the same filter without them. For
+    `wanted` settings it is enough that nothing is worse."""
     return all(
         not _worse(errors, one.errors) if wanted and {**without.values, **wanted} == one.correction.values
         else gain_proven(errors, one.errors) for without, errors in zip(one.correction.beside, one.beside, strict=True))
 
 
 def _worse(before: Measured, after: Measured) -> str:
-    """What is worse after; empty where nothing is."""
-    return unproven(compared(before, after)) or (PREDICTS_WORSE if predicts_worse(before, after) else '')
+    """In words, what is certainly worse with `after` than with `before`; empty if nothing is."""
+    return objection_to_errors(compared(before, after)) or (PREDICTS_WORSE if predicts_worse(before, after) else '')
 
 
 def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]) -> Diagnosis:
-    """The diagnosis of several drives as it looks in the k-th."""
+    """The part of a diagnosis of several drives that is about the k-th."""
     problem, recording, where = whole.problem.each[k], whole.recordings[k], whole.problem.slices[k]
     residuals = {stage: part(r, where) for stage, r in whole.residuals.items()}
     return replace(
@@ -192,24 +197,23 @@ def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]
 
 
 def _options(known: Known, fitted: Correction, configured: Correction, trials: TrialRuns) -> list[Correction]:
-    """What may be proven together: effects with and without other noise levels, these alone; and what was given last.
-    """
+    """Corrections to be compared: noise levels alone, effects with and without them; last the given parameters."""
     effects = configured
     if any(f.added for f in known.findings):
         effects = Correction(known.corrected(), known.by_part(), {}, True)
     effects = _with_mounting(_with_settings(effects, trials), trials)
     options = [fitted]
     if effects.values != configured.values:
-        options += [_levelled(replace(effects, factors=fitted.factors), trials), effects]
+        options += [_with_noise_levels(replace(effects, factors=fitted.factors), trials), effects]
     return [*(option for option in options if option.values != configured.values),
             replace(configured, settings=tuple(_only_told(f, '') for f in effects.settings))]
 
 
 def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[Tried]:
-    """The corrections with their errors at the full rate, what predicts best there first, what was given last. Each is
-    tried with a setting the other way round, too (`TrialRuns.switches`)."""
+    """The corrections with their errors at the full rate, the best predictions first, the given parameters last. Each
+    is also tried with the other value of a boolean setting (`TrialRuns.switches`)."""
     configured, options = corrections[-1], list(corrections[:-1])
-    # beside what noise levels are judged is a correction of its own, too, where these turn out to have no gain
+    # the same corrections without noise levels are options, too, in case that these have no gain
     there = [correction.values for correction in corrections]
     options += [one for option in options for one in option.beside if one.values not in there]
     options += [correction.switched(name) for correction in (*options, configured) for name in trials.switches]
@@ -224,8 +228,8 @@ def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[T
     return [*sorted(found, key=merit, reverse=True), Tried(configured, measured(configured))]
 
 
-def _running(correction: Correction, trials: TrialRuns) -> int:
-    """The number of fixes that the filter of a correction is running at."""
+def _fixes_while_running(correction: Correction, trials: TrialRuns) -> int:
+    """The number of fixes at which the filter with a correction runs, i.e. is aligned."""
     return int(np.isfinite(trials.origin.observed(correction.values).z[trials.origin.mask, 0]).sum())
 
 
@@ -234,7 +238,8 @@ def _only_told(finding: Finding, against: str) -> Finding:
 
 
 def _with_settings(correction: Correction, trials: TrialRuns) -> Correction:
-    """With what a direct look at the recording shows, and the settings against it where these help."""
+    """`correction` with findings of a direct look at the recording, and with the settings against them if these help.
+    """
     for effect in trials.library:
         sightings = {p.recording.name: effect.seen(trials.origin.given, p.full) for p in trials.origin.each}
         sightings = {name: sighting for name, sighting in sightings.items() if sighting is not None}
@@ -243,7 +248,7 @@ def _with_settings(correction: Correction, trials: TrialRuns) -> Correction:
         units = {p.name: p.unit for p in effect.parameters}
         drives = {name: {n: Estimate(v, s, units[n]) for n, (v, s) in sighting.parameters.items()}
                   for name, sighting in sightings.items()}
-        # the settings against it are those for the drive that has most of it
+        # the settings are those for the drive in which it is largest
         most = max(sightings, key=lambda name: drives[name][effect.principal].value)
         sighting, several = sightings[most], len(trials.origin.each) > 1
         rest = [name for name in sightings if name != most]
@@ -266,7 +271,7 @@ def _with_settings(correction: Correction, trials: TrialRuns) -> Correction:
 
 
 def _with_mounting(correction: Correction, trials: TrialRuns) -> Correction:
-    """With the mounting's angles as the filter has learned them, where they are there and do no harm."""
+    """`correction` with the mounting angles that the filter estimates itself, if it does and they do no harm."""
     if MOUNTING not in {e.name for e in trials.library}:
         return correction
     found = learned_mounting.together([learned_mounting.angles(p.full, correction.values) for p in trials.origin.each])
@@ -280,7 +285,7 @@ def _with_mounting(correction: Correction, trials: TrialRuns) -> Correction:
 
     whole = {name: e.value for name, e in found.whole.items()}
     parted = correction.by_part * (len(parts(trials.origin)) if len(correction.by_part) == 1 else 1)
-    # each part in turn with angles of other data, or of one half of them, so that their scatter is in the errors
+    # each part gets the angles from other data, or from one half of the data, so that errors contain their scatter
     halves = found.halves or [whole]
     by_part = [turned(values, halves[k % len(halves)]) for k, values in enumerate(parted)]
     values = turned(correction.values, {n: whole.get(n, 0.0) for n in learned_mounting.STATES})
@@ -291,14 +296,14 @@ def _with_mounting(correction: Correction, trials: TrialRuns) -> Correction:
     before, after = trials.errors(correction.by_part), trials.errors(by_part)
     finding = replace(finding, saves=saved(before, after))
     reason = implausible(MOUNTING, found.plain) or found.contradicted
-    reason = reason or unproven(compared(before, after))  # the filter's own states have proven it
+    reason = reason or objection_to_errors(compared(before, after))  # the filter's own states have proven it
     if reason:
         return replace(correction, settings=(*correction.settings, _only_told(finding, reason)))
     return replace(correction, values=values, by_part=by_part, settings=(*correction.settings, finding))
 
 
-def _levelled(correction: Correction, trials: TrialRuns) -> Correction:
-    """`correction` with the noise levels that predict best; its factors are where the search begins, too."""
+def _with_noise_levels(correction: Correction, trials: TrialRuns) -> Correction:
+    """`correction` with the noise levels that predict best; one of the starts of their search is its factors."""
     claimed = float(np.median(np.sqrt(trials.origin.claimed[:, 0, 0])))
     levels = choose(correction.values, trials.each, which_part(trials.origin), len(parts(trials.origin)), claimed,
                     correction.factors)
@@ -310,11 +315,11 @@ def _levelled(correction: Correction, trials: TrialRuns) -> Correction:
 
 
 def _merit(measured: Measured) -> float:
-    """Mean log likelihood of what was predicted, all horizons alike."""
+    """Mean log likelihood of the predicted positions; each prediction horizon has the same weight."""
     return float(np.mean([score.mean() for _, score in measured.scores() if len(score)]))
 
 
-def _final(known: Known, hidden, corrected: dict, trials: TrialRuns) -> list[Finding]:
+def _final_findings(known: Known, hidden, corrected: dict, trials: TrialRuns) -> list[Finding]:
     """All findings with the estimates of the last joint fit, and what each has changed in `corrected`."""
     model, found = known.model, []
     effects, given = {e.name: e for e in trials.library}, trials.origin.given
@@ -346,7 +351,7 @@ def _final(known: Known, hidden, corrected: dict, trials: TrialRuns) -> list[Fin
 
 
 def _not_shown(known: Known, settings: Sequence[Finding]) -> dict[str, str]:
-    """Effects and parameters of which nothing can be said, and why: as each effect was tested last."""
+    """Names of effects and parameters that the recordings do not show, with the reason, from the last test of each."""
     estimated = {u.name for u in known.model.unknowns}
     last = {c.name: c for candidates in known.rounds for c in candidates}
     undetermined = {f'{c.name}.{name}': 'not determined by this recording' for c in last.values()
@@ -356,7 +361,7 @@ def _not_shown(known: Known, settings: Sequence[Finding]) -> dict[str, str]:
 
 
 def _noise_remarks(factors: dict[str, float]) -> list[str]:
-    """Noise levels that are none: wrong settings, or something that is in no effect of the library."""
+    """Remarks on noise levels that are too high for any sensor: settings are wrong, or no effect explains the data."""
     return [f'{name} would have to be {factor:.0f} times as large as configured to explain this drive: no sensor is so '
             'much noisier than its settings, so this stands for something that is not in the library (vibration of the '
             'mount, samples that repeat, a scale or an axis that is not what it says).'
@@ -364,12 +369,12 @@ def _noise_remarks(factors: dict[str, float]) -> list[str]:
 
 
 def _switched(given: dict, corrected: dict) -> dict[str, bool]:
-    """The settings of `_SWITCHED` that differ, as they are now."""
+    """The settings of `_SWITCHED` that are not as given, with their corrected values."""
     return {name: corrected[name] for name in _SWITCHED if given[name] != corrected[name]}
 
 
 def _remarks(problem: Problem) -> list[str]:
-    """What the recording lacks, and what recording would show more."""
+    """Remarks on motion and fixes that the recording lacks, and what these would show."""
     said, mask, seconds = [], problem.mask, (problem.stamp - problem.stamp[0]) * 1e-9
     turn = np.gradient(np.unwrap(problem.base.yaw), seconds)
     acceleration = np.gradient(np.hypot(*problem.base.velocity.T), seconds)

@@ -17,7 +17,7 @@ from .conclusion import concluded
 from .drives import Drives, problems
 from .findings import Diagnosis
 from .problem import DiagnosisError
-from .search import add_best, begin, replaced, without_superseded, without_undetermined
+from .search import add_best, begin, with_other_mechanization, without_superseded, without_undetermined
 from .starts import TIME_OFFSET, other_starts, shown_without_filter
 from .trial_runs import Progress, TrialRuns
 
@@ -64,12 +64,12 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     trials = TrialRuns(tuple(thinned), Drives(found), library, tuple(durations), spacing, tell,
                        values['gnss.time_offset_sigma'], sizes, shown, working=lambda: progress(*told))
     first = begin(trials)
-    known = replaced(first, trials)
+    known = with_other_mechanization(first, trials)
     for _ in range(MOST_ROUNDS):
         further = add_best(known, trials)
         found_none = len(further.chosen) == len(known.chosen)
         # what was in the way of another mechanization may be out of it now
-        known = replaced(further, trials) if further.model is not known.model else further
+        known = with_other_mechanization(further, trials) if further.model is not known.model else further
         if found_none or trials.enough():
             break
     known = without_undetermined(without_superseded(known, trials), trials)

@@ -1,16 +1,16 @@
-"""What a diagnosis knows of one number."""
+"""An estimate with its standard deviation."""
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-#: no model of a car is right to a few per cent: what is in no effect of the library (a body that rolls in bends, axes
-#: that are not at right angles, what else is in the car and too small to be found) moves what is estimated by this part
+#: systematic error of an estimate, relative to its value, by what no effect describes: no model of a car is exact to
+#: some per cent (a body that rolls in bends, axes that are not orthogonal, effects that are too small to be found)
 SYSTEMATIC = 0.05
-#: sigmas from which on an effect is taken to be there: of at least one of its parameters, in all drives or in one
+#: smallest ratio of value and sigma, of at least one parameter, with which an effect counts as present
 PLAIN = 3.0
-#: standard deviations from which on two estimates of the same are two values: one pair in 370 by chance
+#: number of sigmas by which two estimates of one quantity differ if they are different values: by chance 1 pair in 370
 APART = 3.0
 
 
@@ -18,7 +18,7 @@ APART = 3.0
 class Estimate:
     """A value with its standard deviation, or a range (low, high) whose values explain the recording equally well.
 
-    unit: SI, '-' for a ratio. value: None where there is only a range. sigma: None where it was only tried.
+    unit: SI, '-' for a ratio. value: None if there is only a range. sigma: None if the value was fixed, not estimated.
     """
 
     value: float | None
@@ -32,12 +32,12 @@ class Estimate:
         return self.value is not None and self.sigma is not None and math.isfinite(self.sigma)
 
     def differs(self, other: Estimate) -> bool:
-        """Whether both are known, and are of two values."""
+        """Whether both are known and differ significantly."""
         return (self.known and other.known
                 and abs(self.value - other.value) > APART * math.hypot(self.sigma, other.sigma))
 
     def text(self) -> str:
-        """For a person, with as many digits as the standard deviation is worth."""
+        """As text, with the number of digits that the standard deviation allows."""
         unit = '' if self.unit == '-' else f' {self.unit}'
         if self.value is None:
             low, high = self.range
@@ -47,8 +47,8 @@ class Estimate:
 
 
 def systematic(parameters: Mapping[str, Estimate]) -> dict[str, float]:
-    """The part of the sigmas of the parameters of one effect that is SYSTEMATIC, where they are known: a part of the
-    length of those of the same unit, as axes that are a little turned make one of the other."""
+    """SYSTEMATIC errors of the known parameters of one effect: relative to the norm of all parameters of the same unit,
+    as a small rotation of the axes mixes them."""
     lengths: dict[str, float] = {}
     for estimate in parameters.values():
         if estimate.known:
@@ -57,13 +57,13 @@ def systematic(parameters: Mapping[str, Estimate]) -> dict[str, float]:
 
 
 def widened(parameters: Mapping[str, Estimate]) -> dict[str, Estimate]:
-    """The parameters of one effect with what is `systematic` in their sigmas."""
+    """The parameters of one effect, with `systematic` errors included in their sigmas."""
     more = systematic(parameters)
     return {name: replace(e, sigma=math.hypot(e.sigma, more[name])) if e.known else e for name, e in parameters.items()}
 
 
 def rounded(value: float, sigma: float | None) -> str:
-    """`value` to as many digits as its standard deviation is worth."""
+    """`value` as text with the number of digits that its standard deviation allows."""
     if not sigma or not math.isfinite(sigma):
         return f'{value:.4g}'
     digits = max(1 - math.floor(math.log10(sigma)), 0)

@@ -1,8 +1,8 @@
-"""The sigmas of what a fit finds, with the uncertainty of what it takes for exact.
+"""Sigmas of fitted parameters, including the uncertainty of parameters that the fit keeps constant.
 
-Along the track, an antenna that is further ahead than the params file says is the same as an offset of the clocks by
-that distance over the speed: at walking speed, decimetres are tenths of a second. A fit of one of the two takes the
-other for exact, whose uncertainty its sigma then lacks.
+Along the track, an error of the antenna's position is equivalent to a time offset of that distance divided by the
+speed: at walking speed, decimetres correspond to tenths of a second. A fit of one of the two treats the other as exact,
+so its own sigma is too small.
 """
 from __future__ import annotations
 
@@ -19,19 +19,18 @@ from .fit import Model, scores
 from .problem import Unknown
 from .tracing import effect_unknowns
 
-#: effects that shift fixes along the track, so that an error of one of them changes the estimates of the others
+#: effects that shift fixes along the track: an error of one of them changes the estimates of the others
 TOGETHER = 'gnss_time_offset', 'gnss_lever_arm', 'gnss_lag'
-#: those of TOGETHER whose uncertainty counts where they are not fitted; that of a receiver that smooths is in the sigma
-#: of the offset already, where the track cannot tell the two apart (`Offset.undecided`)
+#: those of TOGETHER whose uncertainty is added if they are not fitted. That of the receiver's smoothing is already in
+#: the sigma of the offset, if the track does not distinguish the two (`Offset.undecided`)
 HELD = 'gnss_time_offset', 'gnss_lever_arm'
-#: s; a receiver smooths over no longer
-LONGEST_SMOOTHING = 10.0
+LONGEST_SMOOTHING = 10.0  # s, longest time over which a receiver smooths its positions
 
 
 def sigmas(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:
-    """Standard deviations of all that `model` has found, (p,): what decides whether it is there, and what is told.
+    """Standard deviations (p,) of the unknowns of `model`, for the decision on effects and for the report.
 
-    track, given: as of `of_what_is_held`.
+    track, given: as for `of_what_is_held`.
     """
     receiver = [of_receiver(model, track) if u.effect == 'gnss_time_offset' and not u.noise else 0.0
                 for u in model.unknowns]
@@ -39,9 +38,10 @@ def sigmas(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:
 
 
 def of_receiver(model: Model, track: Offset | None) -> float:
-    """What the sigma of a time offset lacks, s, as the receiver may smooth its positions: to who brakes or turns
-    meanwhile that is a delay of its own. Its errors last for as long, unless they last for longer than a receiver's
-    filter; and by so much `track` cannot tell the two apart, unless `model` has both."""
+    """Standard deviation, s, to be added to that of a time offset, as a receiver may smooth its positions, which is a
+    delay when the vehicle brakes or turns. It has two parts: a share of the correlation time of the fixes' errors,
+    which is that of the smoothing unless it is longer than LONGEST_SMOOTHING; and what `track` does not distinguish,
+    unless `model` contains both effects."""
     lasting = [u.meant(x, 0.0)[0] for u, x in zip(model.unknowns, model.x) if u.name == 'gnss_coloured_noise.tau']
     smoothed = lasting[0] if lasting and lasting[0] < LONGEST_SMOOTHING else 0.0
     undecided = track.undecided if track is not None and 'gnss_lag' not in {u.effect for u in model.unknowns} else 0.0
@@ -49,11 +49,11 @@ def of_receiver(model: Model, track: Offset | None) -> float:
 
 
 def of_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:
-    """Standard deviations, (p,), to be added to those of `model`: the errors of its time offset, arm and smoothing
-    where those of HELD that it does not fit are not as in the parameters `given`. Zero for all other unknowns.
+    """Standard deviations (p,) to be added to those of `model`: the effect on its time offset, lever arm and smoothing
+    of errors of those of HELD that it does not fit. Zero for all other unknowns.
 
-    track: time offset, arm and smoothing as the recordings show them without a filter, each with the others unknown. An
-    added sigma is thus at most the distance of a value of `model` from that of the track, beyond the track's sigma.
+    track: time offset, lever arm and smoothing that the recordings show without a filter, estimated together. An added
+    sigma is therefore at most the difference between the value of `model` and that of the track, beyond its sigma.
     """
     further = np.zeros(len(model.unknowns))
     own = [i for i, u in enumerate(model.unknowns) if u.effect in TOGETHER and not u.noise]
@@ -64,7 +64,7 @@ def of_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.nd
             if u.name not in there and (size := _doubt(u, track, given)) > 0.0]
     if not held:
         return further
-    # differences of that size: in smaller ones, at walking speed, one standstill more or less makes steps
+    # finite differences of that size: with smaller ones, at walking speed, single standstills cause steps
     unknowns, sizes = [replace(u, step=size) for u, size in held], np.array([size for _, size in held])
     _, other = scores(model.moved(), unknowns, np.zeros(len(unknowns)), model.residual, quick=True)
     moves = model.covariance @ model.scores.information(model.problem.mask, other)  # of each by one unit of those held
@@ -74,7 +74,8 @@ def of_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.nd
 
 
 def _apart(unknown: Unknown, x: float, track: Offset | None, given: Mapping) -> float:
-    """By how much `x` contradicts what the track shows of `unknown`, beyond the track's sigma."""
+    """Difference between `x` and the value of `unknown` from the track, beyond the track's sigma; inf without a
+    track."""
     if track is None:
         return math.inf
     value, sigma = _shown(unknown, track, given)
@@ -82,7 +83,7 @@ def _apart(unknown: Unknown, x: float, track: Offset | None, given: Mapping) -> 
 
 
 def _shown(unknown: Unknown, track: Offset, given: Mapping) -> tuple[float, float]:
-    """What the track shows of `unknown`, of TOGETHER, beyond what is given, and its sigma."""
+    """Value of `unknown` (one of TOGETHER) from the track, relative to the given parameters, and its sigma."""
     if unknown.effect == 'gnss_time_offset':
         return track.lag - given['gnss.time_offset'], track.lag_sigma
     if unknown.effect == 'gnss_lag':
@@ -92,8 +93,8 @@ def _shown(unknown: Unknown, track: Offset, given: Mapping) -> tuple[float, floa
 
 
 def _doubt(unknown: Unknown, track: Offset | None, given: Mapping) -> float:
-    """How far `unknown`, of HELD, may be from where `given` has it: by what the track shows, and else by what is usual.
-    An arm that is stated was measured."""
+    """Standard deviation of `unknown` (one of HELD) about its given value: from the track, or its usual size without
+    one. 0 for a lever arm that is given: it was measured."""
     if unknown.effect == 'gnss_lever_arm' and any(given['gnss.lever_arm']):
         return 0.0
     return unknown.usual if track is None else math.hypot(*_shown(unknown, track, given))

@@ -1,4 +1,4 @@
-"""What a diagnosis says: things that were traced, and all that it found."""
+"""Results of a diagnosis: the findings, and the report as a whole."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field
@@ -17,13 +17,14 @@ from .unexplained import GoesWith
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was traced.
+    """An effect that was found.
 
-    group: names of what the recording cannot tell it from, itself first. changes: the parameters as the correction
-    sets them. reason: why it was not added. seen: where it was not fitted, what shows it. drives: what each of several
-    drives says alone, by name. apart: the drives contradict each other. saves: duration of outages, s, and the
-    median of the largest error without it and with it, m, each beside what was found before. since: ns, stamp of the
-    first sample that shows it; 0: nobody says. least: the part of the sigma of a parameter that no more samples lessen.
+    group: names of the effects that the recording does not distinguish, itself first. changes: the parameters as the
+    correction sets them. reason: why it was not added. seen: what shows it, if it was not fitted. drives: estimates
+    from each of several drives, by name. apart: the drives contradict each other. saves: duration of outages, s, and
+    the mean of the largest error in them without it and with it, m, each with the effects that were added before.
+    since: ns, stamp of the first sample that shows it; 0: unknown. least: part of the sigma of a parameter that does
+    not decrease with more samples.
     """
 
     name: str
@@ -45,13 +46,13 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What `diagnose` found. Residuals and detections: of the filter of the user as configured, with the noise levels
-    alone that predict best, and with all that was found; 'search': of the best model of the search, which hides nothing
-    and is what is left unexplained.
+    """Result of `diagnose`. Residuals and detections: of the user's filter as configured, with the best noise levels
+    alone, and with all corrections; 'search': of the final model of the search, without adaptation, which show what is
+    left unexplained.
 
-    noise: factors on noise levels in `corrected`. explained: those with which the innovations are explained best, and
-    which no filter has to use. drives: the same diagnosis as it looks in each of several drives. left_out: why other
-    drives are not in it, by name.
+    noise: factors on noise levels in `corrected`. explained: factors with the highest likelihood of the innovations,
+    which are not used in `corrected`. drives: the part of the diagnosis about each of several drives. left_out: by
+    name, why other drives are not part of it.
     """
 
     recordings: tuple[Recording, ...]
@@ -62,11 +63,11 @@ class Diagnosis:
     noise: dict[str, float]
     explained: dict[str, float]
     rounds: list[list[Candidate]]
-    chosen: list[str]  # the candidate that each round tried to add; none in the last one
+    chosen: list[str]  # for each round that tried any, the effect that it added, or the first one tried
     findings: list[Finding]
     hidden: dict[str, str]  # effects and parameters that the data cannot show, and why
     corrected: dict
-    verdict: Verdict  # on `corrected`; where that is `values`, on the best of what was tried
+    verdict: Verdict  # on `corrected`; if that is `values`, on the best correction tried
     before: Measured
     fitted: Measured
     after: Measured
@@ -78,7 +79,7 @@ class Diagnosis:
 
     @property
     def name(self) -> str:
-        """Of the recordings."""
+        """Names of the recordings."""
         return ', '.join(recording.name for recording in self.recordings)
 
     @property
@@ -93,7 +94,7 @@ class Diagnosis:
 
     @property
     def changed(self) -> bool:
-        """Whether `corrected` differs from `values`: it holds what held-out data prove, or is better."""
+        """Whether `corrected` differs from `values`, as something is proven on held-out data."""
         return self.corrected != self.values
 
     @property

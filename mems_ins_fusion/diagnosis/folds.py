@@ -1,4 +1,4 @@
-"""Parts of the data, each held out in turn: blocks of time of each drive, or, of three drives and more, the drives."""
+"""Parts of the data that are held out in turn: blocks of time of each drive; of three drives and more, whole drives."""
 from __future__ import annotations
 
 import numpy as np
@@ -6,25 +6,21 @@ import numpy as np
 from .drives import Drives
 from .problem import Problem
 
-#: parts of a recording, each of which is held out in turn
-PARTS = 4
-#: blocks of each part, so that it is not of one road alone
-BLOCKS = 2
-#: s, of a block at least: a filter needs some seconds of each to find its state
-SHORTEST_BLOCK = 30.0
-#: drives from which on each is held out as a whole
-FEWEST_DRIVES = 3
+PARTS = 4  # number of parts of a recording
+BLOCKS = 2  # number of blocks of time in each part, so that it contains more than one road
+SHORTEST_BLOCK = 30.0  # s, shortest block: a filter needs some seconds of each to converge
+FEWEST_DRIVES = 3  # smallest number of drives that are held out as wholes
 
 
 def parts(problem: Problem | Drives) -> list[np.ndarray]:
-    """Masks of the fixes that count, by part: whole drives where there are enough; else parts of each."""
+    """Masks (f,) of the fixes of each part, within the mask of the problem."""
     if len(problem.each) < FEWEST_DRIVES:
         return [np.concatenate(same) for same in zip(*(_blocks(p) for p in problem.each))]
     return [np.concatenate([p.mask & (p is drive) for p in problem.each]) for drive in problem.each]
 
 
 def _blocks(problem: Problem) -> list[np.ndarray]:
-    """Parts of one drive: blocks of time in turns, so that all parts see all kinds of road."""
+    """Masks of the parts of one drive; blocks of time go to the parts in turn, so that all have all kinds of road."""
     stamp = problem.stamp[problem.mask]
     duration = (stamp[-1] - stamp[0]) * 1e-9
     length = max(duration / (PARTS * BLOCKS), min(SHORTEST_BLOCK, duration / PARTS)) + 1e-6
@@ -33,7 +29,7 @@ def _blocks(problem: Problem) -> list[np.ndarray]:
 
 
 def which_part(problem: Problem):
-    """A function that tells the part, by its place in `parts`, of stamps (k,) ns."""
+    """A function that returns the index in `parts`, -1 for none, for stamps (k,) ns."""
     masks = parts(problem)
 
     def of(stamp):
@@ -50,6 +46,6 @@ def part_of(stamp: np.ndarray, origin: int, length: float) -> np.ndarray:
 
 
 def in_mask(stamp: np.ndarray, problem: Problem, mask: np.ndarray) -> np.ndarray:
-    """Which stamps (ns) lie in the blocks of `mask`: those whose latest fix does."""
+    """(k,) bool: whether the last fix before each stamp (ns) is in `mask`."""
     at = np.clip(np.searchsorted(problem.stamp, stamp, side='right') - 1, 0, len(mask) - 1)
     return mask[at]

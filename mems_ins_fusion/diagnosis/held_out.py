@@ -1,7 +1,7 @@
-"""Does it explain data that it was not fitted to? The likelihood of each part, with what the others say.
+"""Cross-validation: the likelihood of each part of the data with the estimates from the other parts.
 
-The filter always runs through whole recordings; an estimate uses the innovations of all parts but one and is judged on
-that one.
+The filter always runs through whole recordings. An estimate uses the innovations of all parts but one, and its
+likelihood is that of the innovations in this one.
 """
 from __future__ import annotations
 
@@ -17,26 +17,24 @@ from .folds import SHORTEST_BLOCK, parts
 from .problem import Problem
 from .residuals import Residual
 
-#: probability by chance, below which a held-out gain counts that is CLEAR; a smaller one counts where it is CERTAIN
+#: largest p value of a held-out gain that is above CLEAR; a smaller gain needs a p value below CERTAIN
 SIGNIFICANCE = 0.2
-#: gain of log likelihood (five sigma): in real cars something small is always wrong, by which an effect with many
+#: gain of log likelihood, five sigma. On real cars there are always small model errors, from which an effect with many
 #: parameters gains a little
 CLEAR = 12.5
-#: what is new is supported by a part of the data where it is no chance at this level
+#: confidence level at which the new unknowns must differ from zero in the data without one part, to count as supported
 SUPPORT = 0.95
-#: share of the parts that the rest of the data has to support it for: an effect that is not there without the one part
-#: or the other is no better known than that
+#: share of the parts without which the data must support an effect: else it depends on single parts of the recording
 MOST = 0.5
-#: a gain, or an error that has changed, is certain when chance would give it this rarely
-CERTAIN = 0.01
+CERTAIN = 0.01  # p value below which a gain, or a change of an error, is called certain
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Gain of log likelihood on fixes that the estimate did not see: total, and p of no gain by blocks of time.
+    """Gain of log likelihood on held-out fixes: the sum, and the p value of no gain from blocks of time.
 
-    estimates: the unknowns by the part that was held out. drives: gain and p of no loss, by the name of each of several
-    drives. supported: the share of the parts for which the rest of the data supports what is new.
+    estimates: the unknowns, for each part that is held out. drives: gain and p value of no loss, by the name of each of
+    several drives. supported: share of the parts without which the data support the new unknowns.
     """
 
     gain: float
@@ -47,7 +45,7 @@ class HeldOut:
 
     @property
     def stands(self) -> bool:
-        """Whether most of the data would have led to it."""
+        """Whether the data support it without most of the parts."""
         return self.supported > MOST
 
     @property
@@ -56,11 +54,11 @@ class HeldOut:
 
 
 def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
-    """What `longer` explains more than `shorter` on data that neither was fitted to.
+    """The gain of `longer` over `shorter` on data that neither was fitted to.
 
-    Of both, the first `noise` unknowns are noise levels and stay as they are. What is judged is the whole procedure:
-    where the other parts do not support what is new in `longer`, they would not have led to it, and the estimate is
-    that of `shorter`.
+    The first `noise` unknowns of both are noise levels; they are not fitted again. The gain is that of the whole
+    procedure: if the other parts do not support the new unknowns of `longer`, the procedure would not have added them,
+    and the estimate is that of `shorter`.
     """
     problem = longer.problem
     place = {u.name: i for i, u in enumerate(longer.unknowns)}
@@ -79,14 +77,14 @@ def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
     one, other = problem.residuals(longer.unknowns, found), problem.residuals(shorter.unknowns, without)
     gains = np.zeros(len(problem.stamp))
     for part, with_it, plain in zip(parts(problem), one, other):
-        # a fix that one of them did not get to see says nothing
+        # a fix without an innovation in one of them counts as no gain
         gains[part] = np.nan_to_num((with_it.log_likelihood() - plain.log_likelihood())[part])
     return replace(_of_gains(problem, gains, found), supported=supported / len(found))
 
 
 def gain_of(problem: Problem, before: Residual, after: Residual) -> HeldOut:
-    """What a model without unknowns of its own gains: nothing of it was fitted, so all data are held out. Of the fixes,
-    as another mechanization measures other things beside them."""
+    """The gain of a model without new unknowns: nothing was fitted, so all data are held out. Only innovations of fixes
+    count, as another mechanization has other residuals besides."""
     one, other = after.of_fixes.log_likelihood(), before.of_fixes.log_likelihood()
     gains = np.where(problem.mask, np.nan_to_num(one - other), 0.0)
     return _of_gains(problem, gains, [])
@@ -102,7 +100,7 @@ def _of_gains(problem: Problem | Drives, gains: np.ndarray, estimates: list[np.n
 
 
 def _p_of_no_gain(problem: Problem | Drives, gains: np.ndarray) -> float:
-    """One-sided t test of the sums over blocks of SHORTEST_BLOCK."""
+    """P value of a one-sided t test on the sums of the gains over blocks of SHORTEST_BLOCK."""
     block = ((problem.stamp - problem.stamp[0]) // round(SHORTEST_BLOCK * 1e9))[problem.mask]
     _, index = np.unique(block, return_inverse=True)
     sums = np.bincount(index, gains[problem.mask])

@@ -1,4 +1,4 @@
-"""Whether errors before and after differ, and whether a change is proven by them."""
+"""Comparison of the errors before and after a change of the parameters: is the change proven, does it do harm?"""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -11,34 +11,30 @@ from ..evaluation.verdict import BETTER, CANNOT_TELL, Change, Verdict, change_in
 from .held_out import CERTAIN, HeldOut
 from .measured import Measured, fairly
 
-#: share by which an error has to be larger, beside NOTICED, to count as larger where it is so for certain
-GROWN = 0.03
-#: m; an error that grows by less nobody notices
-NOTICED = 0.1
-#: factor by which a mean or a root mean square is larger that counts as larger, certain or not
-LARGER = 1.1
-#: probability by chance, below which an error that is larger by LARGER counts with a proven effect, too
+GROWN = 0.03  # smallest relative growth of an error that is certainly larger and counts (together with NOTICED)
+NOTICED = 0.1  # m, smallest growth of an error that counts: a user does not notice less
+LARGER = 1.1  # ratio of two means, or root mean squares, above which an error counts as larger, certain or not
+#: p value below which an error that is larger by LARGER counts as larger if the effect is proven by its likelihood
 LIKELY = 0.05
-#: standard deviation of the natural logarithm of one outage's largest error: about that of a Rayleigh distribution; and
-#: of the ratio of two that go together by half. Where outages are too few for a test it tells what may be chance
+#: standard deviation of the natural logarithm of the largest error in one outage, about that of a Rayleigh
+#: distribution, and of the ratio of two with a correlation of 0.5. Used if there are too few outages for a test
 SCATTER = 0.5
-#: standard deviations of the logarithm of a ratio beyond which it is so rarely by chance as LIKELY says
+#: number of standard deviations of the logarithm of a ratio that has a p value of about LIKELY
 NOT_BY_CHANCE = 2.0
-#: factor on an error, below which it has become smaller plainly
-PLAINLY = 0.7
-#: share of what the filter ran before that it has to run with a correction: one that never starts errs nowhere
+PLAINLY = 0.7  # ratio of two errors below which the error has become much smaller
+#: smallest share of the fixes before at which a filter has to run with a correction: one that never starts has no
+#: errors
 RUNS = 0.5
-#: share of the outages in which the 95 % ellipse has to hold the truth
-COVERED = 0.9
-#: by which share less of them an ellipse may hold it that held it in less than COVERED before
+COVERED = 0.9  # smallest share of the outages in which the 95 % ellipse has to contain the truth
+#: largest decrease of this share that is tolerated if it was below COVERED before
 LESS_HELD = 0.15
-#: of an interval whose lower end is passed by chance in 1 - LEVEL of the cases: that a gain is one is asked of one side
+#: level of the two-sided interval whose lower end is a one-sided bound at LEVEL
 ONE_SIDED = 2 * LEVEL - 1
 
 
 def changes(before: Measured, after: Measured) -> list[Change]:
-    """What changes for who drives with it, for the verdict: errors in the same outages, and with fixes where the truth
-    is more than these; of all drives together."""
+    """The changes on which the verdict is based: of the errors in the same outages, and with all fixes used if there is
+    another truth than the fixes; all drives together."""
     before, after = fairly(before, after)
     found = []
     if before.independent:
@@ -53,20 +49,19 @@ def changes(before: Measured, after: Measured) -> list[Change]:
 
 
 def judged(before: Measured, after: Measured, effects: bool = False) -> Verdict:
-    """Whether to use another configuration. It is no better, either, where an ellipse comes to lie, or where a single
-    drive has the cost of what the others gain."""
+    """Verdict on a change. It is not `better` if it does harm: to the ellipses, or to the errors of a single drive."""
     verdict = decide(changes(before, after))
     against = harm(compared(before, after), effects) if verdict.answer == BETTER else ''
     return replace(verdict, answer=CANNOT_TELL, why=(against,)) if against else verdict
 
 
 def compared(before: Measured, after: Measured) -> list[dict]:
-    """Whether the errors differ, by what is measured: mean, root mean square (for the tails), and how often the 95 %
-    ellipse held the truth; mean square with the fixes used, mean of the largest error in outages.
+    """Rows with the errors before and after: the mean square error with all fixes used; the mean and the root mean
+    square of the largest error in outages, and how often the 95 % ellipse contained the truth.
 
-    decides: not where the truth is the fixes that the filter was given, which only shows how closely it follows them.
-    apart: how many of `count` outages do not overlap. drive: its name in the rows of each of several drives, which come
-    last; else there is none.
+    decides: false if the truth is the fixes that the filter was given: that error only shows how closely the filter
+    follows them. apart: number of the `count` outages that do not overlap. drive: name of the drive, in the rows of
+    single drives, which come last.
     """
     rows = _compared(*fairly(before, after))
     for name in before.drives:
@@ -91,14 +86,15 @@ def _compared(before: Measured, after: Measured) -> list[dict]:
 
 
 def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVERED) -> str:
-    """What becomes worse, and by how much; empty where nothing does.
+    """In words, what becomes worse and by how much; empty if nothing does.
 
-    An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
-    square is larger by LARGER, certain or not; effects: if that is LIKELY, as the largest errors of a few dozen
-    outages scatter by more and the likelihood of held-out data has proven the effect already; so, too, in single
-    drives, as all together have to be better. An ellipse that held the truth in COVERED has to hold it in `floor`, or
-    one outage less, of those that do not overlap; one that did not must not hold it in LESS_HELD less, unless it holds
-    it in `floor` still.
+    - An error counts as larger if it is certainly larger, by GROWN and NOTICED; or if its mean or root mean square is
+      larger by LARGER, certain or not. With `effects`, and in single drives, the latter needs a p value below LIKELY:
+      the largest errors of a few dozen outages scatter by more, and the effect is proven by the likelihood of held-out
+      data, or by all drives together.
+    - If the ellipse contained the truth in COVERED of the outages, it has to contain it in `floor` of them, with one
+      outage less tolerated. If it did not, the share must not decrease by more than LESS_HELD, or it still has to be
+      `floor`.
     """
     for row in comparison:
         if row.get('kept', 1.0) < RUNS:
@@ -135,30 +131,31 @@ def _plain(value: float, squared: bool) -> str:
 
 
 def gain_proven(before: Measured, after: Measured) -> bool:
-    """Whether noise levels or settings are proven by data that did not choose them. before: the same filter without.
+    """Whether noise levels or settings are proven by data that they were not chosen with. before: the same filter
+    without them.
 
-    Errors are smaller for certain; or predictions are better for certain (`predicted`), which counts sigmas that come
-    to be honest as well, and no error grows.
+    They are if errors are certainly smaller; or if predictions are certainly better (`predicted`, which depends on the
+    sigmas, too) and no error grows.
     """
     if judged(before, after).answer == BETTER:
         return True
     gain = predicted(before, after)
-    return gain is not None and gain.interval(ONE_SIDED)[0] > 0.0 and not unproven(compared(before, after))
+    return gain is not None and gain.interval(ONE_SIDED)[0] > 0.0 and not objection_to_errors(compared(before, after))
 
 
 def predicts_worse(before: Measured, after: Measured) -> bool:
-    """Whether predictions are worse for certain."""
+    """Whether predictions are certainly worse."""
     gain = predicted(before, after)
     return gain is not None and gain.interval(ONE_SIDED)[1] < 0.0
 
 
 def predicted(before: Measured, after: Measured) -> Difference | None:
-    """By how much predictions are better, in log likelihood: what noise levels are chosen by, the mean over the
-    horizons, each with one vote; None where there are too few to say, or where they are the same.
+    """Gain of predictions in log likelihood, the measure by which noise levels are chosen: the mean over the prediction
+    horizons, all with the same weight. None if there are too few predictions, or no difference.
 
-    The horizons see the same drive, so that their errors may go together, and the errors of their sigmas: the sigma is
-    the mean of theirs, and its relative error 1 / sqrt(2 (count - 1)) the mean of theirs by sigma. Neither can be
-    larger.
+    The horizons share one drive, so their errors may be fully correlated. The sigma of the mean is therefore the mean
+    of the sigmas, and the relative error of the sigma, 1 / sqrt(2 (count - 1)), the mean of the relative errors
+    weighted by sigma: both are upper bounds.
     """
     apart = [np.inf, *(o.apart for o in (before.timeless or before).outages if len(o.begin))]
     scores, found = (before.scores(), after.scores()), []
@@ -176,17 +173,18 @@ def predicted(before: Measured, after: Measured) -> Difference | None:
 
 
 def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
-    """What speaks against an effect, empty where nothing does: no gain of likelihood, or an error that grows.
+    """In words, what speaks against an effect: no gain of likelihood, or an error that grows. Empty if nothing does.
 
-    comparison: errors with the effect and without, of parts that it was not fitted to. A likelihood that gains, but
-    not for certain, is no objection where an error shrinks for certain and plainly. Nor is an error that is the same,
-    where the ellipses come to hold it: errors that last are in the withheld fixes, too, so these never favour who
-    models them. Nor are ellipses that hold a far smaller error less often, or one with an effect that is certain: what
-    else is wrong shows only now, and noise levels, which decide on ellipses, are chosen at the end.
+    comparison: errors without the effect and with it, on parts of the data that it was not fitted to. No objection are:
+    - a gain of likelihood that is not certain, if an error becomes certainly and much smaller;
+    - an error that stays the same, if the ellipses contain it more often: withheld fixes have correlated errors, too,
+      so errors against them do not become smaller by modelling these;
+    - ellipses that contain the truth less often, if the error is much smaller or the effect is certain: other errors
+      show only now, and the noise levels, which determine the ellipses, are chosen at the end.
     """
     if not proof.stands:
         return 'not there without the one part of the recording or the other'
-    change = all_in_all(comparison)
+    change = overall_ratio(comparison)
     settled = 0.0 < change <= PLAINLY or proof.helps and proof.p < CERTAIN
     worse = harm(comparison, proof.helps, 0.0 if settled else COVERED)
     if worse:
@@ -202,43 +200,45 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
 
 
 def _larger(comparison: Sequence[dict], settled: bool = False) -> str:
-    """An objection to errors that are larger all in all; empty where they are not.
+    """In words, that errors are larger on the whole; empty if they are not.
 
-    settled: what is new is certain, and errors of a few dozen outages scatter by as much as LARGER.
+    settled: the change is certain by other proofs. Then errors may be larger by LARGER, as those of a few dozen outages
+    scatter by as much.
     """
-    change = all_in_all(comparison)
-    if change <= 1 + GROWN or (change <= LARGER and (settled or honest(of_all(comparison)))):
+    change = overall_ratio(comparison)
+    if change <= 1 + GROWN or (change <= LARGER and (settled or ellipses_better(of_all(comparison)))):
         return ''
     return f'the error does not shrink: all in all it is {change:.2f} times that before'
 
 
-def unproven(comparison: Sequence[dict]) -> str:
-    """What speaks against another configuration; empty where nothing does.
+def objection_to_errors(comparison: Sequence[dict]) -> str:
+    """In words, what the errors say against a change that is proven otherwise (`objection`, `gain_proven`): that they
+    grow. Empty if they do not.
 
-    What is new in it has been proven by the likelihood of held-out data already (`objection`, `gain_proven`), so
-    errors must not grow. Whether they shrink the fixes that are the truth as a rule cannot say: who stamps them late,
-    or stands elsewhere, has the withheld ones late and elsewhere, too.
+    They need not become smaller. The truth is usually the withheld fixes, and these have the same time offset and lever
+    arm as the fixes that are used.
     """
-    plainly = 0.0 < all_in_all(comparison) <= PLAINLY
+    plainly = 0.0 < overall_ratio(comparison) <= PLAINLY
     return harm(comparison, effects=True, floor=COVERED - LESS_HELD if plainly else COVERED) or _larger(comparison)
 
 
-def honest(rows: Sequence[dict]) -> bool:
-    """Whether ellipses that did not hold the truth hold it more often, by two outages or more that do not overlap."""
+def ellipses_better(rows: Sequence[dict]) -> bool:
+    """Whether ellipses that contained the truth too seldom contain it in two more of the outages (counted by those that
+    do not overlap)."""
     return any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['apart']
                for row in rows if 'within_before' in row)
 
 
-def all_in_all(comparison: Sequence[dict]) -> float:
-    """Errors after over those before, the geometric mean of all rows that decide; 0 where nothing was measured. A row
-    of too few outages for a test counts only where all are: of three, one decides."""
+def overall_ratio(comparison: Sequence[dict]) -> float:
+    """Ratio of the errors after to those before: the geometric mean of all rows that decide, 0 without any. Rows with
+    too few outages for a test count only if all rows have too few: one of three outages would decide there."""
     rows = of_all(comparison)
     ratios = [row['after'] / row['before'] for row in [row for row in rows if row.get('p') is not None] or rows]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else 0.0
 
 
 def of_all(comparison: Sequence[dict]) -> list[dict]:
-    """The rows that decide and were measured, of all drives together."""
+    """The rows of all drives together that decide and have errors."""
     return [row for row in comparison if row['decides'] and row.get('before') and row.get('after')
             and 'drive' not in row]
 

@@ -1,4 +1,4 @@
-"""One candidate of a search: in the model with all else, and what that does on data it was not fitted to."""
+"""A candidate of the search in detail: fitted together with all other unknowns, and its proof on held-out data."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -20,23 +20,22 @@ from .plausible import implausible
 from .tracing import Candidate, also_determined, determined, effect_unknowns, refined_unknowns
 from .trial_runs import TrialRuns
 
-#: log likelihood by which fits from different starts may differ to count as equally good
+#: largest difference of the log likelihoods of two fits from different starts that count as equally good
 CLOSE = 3.3
-#: a parameter is not determined where values this many times apart fit equally well
+#: ratio of two values that fit equally well, above which a parameter is not determined
 APART = 1.5
-#: iterations of a fit that is only compared with others
-COMPARED = 3
-#: iterations of a fit that starts from a maximum that has moved little
-REFITTED = 4
-#: sigmas from which on a parameter of an effect is kept: with less its value says nothing
-SHOWN = 2.0
-#: effects that a fix with another time stamp would show, too
+COMPARED = 3  # number of iterations of a fit that is only compared with others
+REFITTED = 4  # number of iterations of a fit that starts near its maximum
+SHOWN = 2.0  # smallest ratio of value and sigma with which a parameter of an effect is kept
+#: effects that fixes with wrong time stamps can cause
 OF_FIXES = 'gnss_time_offset', 'gnss_latency', 'gnss_lag'
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A candidate, the model with it, its parameters, and what it does on data it was not fitted to."""
+    """A candidate with its proof. model: with it. parameters: its sizes. hidden: by name, why a parameter is not
+    determined. proof, errors: on held-out data. against: in words, why it is not added; empty if it is. drives: its
+    sizes in each drive. apart: whether these contradict each other."""
 
     candidate: Candidate
     model: Model
@@ -50,7 +49,7 @@ class Judged:
 
 
 def with_candidate(known: Known, candidate: Candidate, view: np.ndarray, trials: TrialRuns) -> Model:
-    """The present model with one candidate added and all fitted again from `view`, well enough to compare."""
+    """The present model with one candidate, fitted from the unknowns `view` with few iterations, for a comparison."""
     model = known.model
     if candidate.effect.replaces_model(candidate.values()):
         problem = known.problem.configured(trials.recordings,
@@ -69,7 +68,7 @@ def with_candidate(known: Known, candidate: Candidate, view: np.ndarray, trials:
 
 
 def judge(known: Known, candidate: Candidate, model: Model, trials: TrialRuns) -> Judged:
-    """What `candidate`, fitted as `model`, comes to on data it was not fitted to."""
+    """The proof of `candidate`, which `model` contains, on data that it was not fitted to."""
     first = len(known.model.unknowns)
     if model.problem is not known.problem:
         # another mechanization has no parameter of its own that could have been fitted to the data
@@ -82,7 +81,7 @@ def judge(known: Known, candidate: Candidate, model: Model, trials: TrialRuns) -
         against = objection(proof, compared(known.errors, errors))
         return Judged(candidate, model, parameters, {}, proof, errors, against)
     model = refined(model)
-    # what one drive has and another has not may be nothing in all together
+    # an effect that only one of the drives has can be undetermined in all of them together
     drives, apart = by_drive_of(model, candidate.effect, known.noise, range(first, len(model.unknowns)))
     contradiction = f'the drives contradict each other ({said(drives)})' if apart else ''
     model, hidden = _completed(known, candidate, prune(model, first))
@@ -92,13 +91,13 @@ def judge(known: Known, candidate: Candidate, model: Model, trials: TrialRuns) -
     sigma = sigmas(model, trials.beside.track, trials.origin.given)
     parameters = {name: e for name, e in _estimates(candidate, model, first, sigma).items()
                   if f'{candidate.name}.{name}' not in hidden}
-    # the same noise levels may suit the shorter model better, too
+    # the model without it gets the chance of the same noise levels
     shorter = fit(known.problem, known.model.unknowns, model.x[:first], COMPARED)
     mask = known.problem.mask
     shorter = max(known.model, shorter, key=lambda m: m.likelihood(mask))
     proof = held_out(model, shorter, known.noise)
     errors = trials.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
-    # that something is there needs no second proof where the recordings show it for certain
+    # where the recordings show for certain that it is there, the sigma of the fit alone is enough
     plain = model.sigma() if candidate.name in trials.certain else sigma
     against = (implausible(candidate.name, parameters, trials.shown) or _of_another_clock(known, candidate, trials)
                or contradiction or small(model, range(first, len(model.unknowns)), plain)
@@ -107,7 +106,8 @@ def judge(known: Known, candidate: Candidate, model: Model, trials: TrialRuns) -
 
 
 def _of_another_clock(known: Known, candidate: Candidate, trials: TrialRuns) -> str:
-    """Why an offset of the fixes cannot be believed: a speed that comes late makes them seem early."""
+    """In words, why a time offset of the fixes is not reliable: another input is late, which makes fixes appear early.
+    Empty if none is."""
     added = [finding.name for finding in known.findings if finding.added]
     late = trials.unset(added) if candidate.name in OF_FIXES else ()
     return f'{" and ".join(late)} {"come" if len(late) > 1 else "comes"} late for certain, which has to be set first' \
@@ -115,10 +115,10 @@ def _of_another_clock(known: Known, candidate: Candidate, trials: TrialRuns) -> 
 
 
 def small(model: Model, own: Sequence[int], sigma: np.ndarray) -> str:
-    """An objection to an effect with the unknowns `own` (indices) none of which is PLAIN, or with a size or a time that
-    is no larger than its own sigma; empty where there is none. sigma: (p,) of all unknowns.
+    """In words, that an effect is too small: none of its unknowns `own` (indices) is PLAIN times its sigma, or a size
+    or a time is not larger than its sigma. Empty if it is not. sigma: (p,), of all unknowns.
 
-    That a scatter is there at all is decided by its likelihood, as it cannot be negative.
+    A variance cannot be negative, so whether there is one is decided by its likelihood, not here.
     """
     found = [(model.unknowns[i], model.x[i], sigma[i]) for i in own]
     if not any(u.variance or u.factor_on is None and abs(x) >= PLAIN * s for u, x, s in found):
@@ -132,7 +132,8 @@ def small(model: Model, own: Sequence[int], sigma: np.ndarray) -> str:
 
 
 def _diluted(estimate: Estimate, part: float) -> Estimate:
-    """With what a regression on something that is not exact lacks in its sigma; what is less than SHOWN was tried."""
+    """`estimate` with the attenuation `part` of its regression in its sigma; without a value if that is below SHOWN
+    sigma."""
     if not estimate.known:
         return estimate
     sigma = float(np.hypot(estimate.sigma, part * estimate.value))
@@ -142,7 +143,7 @@ def _diluted(estimate: Estimate, part: float) -> Estimate:
 
 
 def by_drive_of(model: Model, effect: Effect, noise: int, own: Sequence[int]):
-    """What each of several drives says of the unknowns `own` (indices), and whether they contradict each other."""
+    """Estimates of the unknowns `own` (indices) from each of several drives, and whether they contradict each other."""
     units = {p.name: p.unit for p in effect.traced}
     own = [i for i in own if model.unknowns[i].factor_on is None and not model.unknowns[i].variance]
     drives = {name: {p: replace(e, unit=units[p]) for p, e in found.items()}
@@ -151,9 +152,9 @@ def by_drive_of(model: Model, effect: Effect, noise: int, own: Sequence[int]):
 
 
 def prune(trial: Model, first: int) -> Model:
-    """`trial` without those of its unknowns from `first` on that turn out not to be determined, or not to be there.
+    """`trial` without those of its unknowns from `first` on that are not determined, or not different from zero.
 
-    What can trade against another one of its effect (`_refined`) stays: together they are determined.
+    Variances and factors (`_refined`) stay: they are determined together with the other unknowns of their effect.
     """
     x, sigma = trial.x[first:], trial.sigma()[first:]
     keep = determined(x, sigma, trial.unknowns[first:]) & (np.abs(x) >= SHOWN * sigma)
@@ -165,7 +166,8 @@ def prune(trial: Model, first: int) -> Model:
 
 
 def _completed(known: Known, candidate: Candidate, trial: Model) -> tuple[Model, dict[str, str]]:
-    """`trial` with what else of its effect the data determine now that noise levels need not stand for it."""
+    """`trial` with further parameters of its effect that are determined now, with noise levels fitted beside it; and
+    why others are not."""
     present = {u.name for u in trial.unknowns}
     missing = [u for u in effect_unknowns(candidate.effect, candidate.fixed, trial.problem.attitude)
                if u.name not in present and u.parameter in candidate.undetermined]
@@ -178,8 +180,8 @@ def _completed(known: Known, candidate: Candidate, trial: Model) -> tuple[Model,
 
 
 def _refined(known: Known, effect: Effect, trial: Model) -> tuple[Model, dict[str, str]]:
-    """`trial` with the parameters that were tried estimated, too, from each start: where these end as good ones at
-    other values, the data do not determine the effect's parameters."""
+    """`trial` with those parameters estimated, too, that were fixed at several values so far (`Effect.tried`), from
+    each of these values; and why parameters are not determined: fits that are equally good have other values."""
     first = len(known.model.unknowns)
     kept = {u.name for u in trial.unknowns[first:]}
     fits = []

@@ -1,4 +1,4 @@
-"""What a search knows after a step."""
+"""State of the search for effects after a step."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field
@@ -15,10 +15,13 @@ from .tracing import Candidate
 
 @dataclass(frozen=True)
 class Known:
-    """What is known after a step: the model, what was found, and what is still to be tried.
+    """State of the search after a step: the model, the findings, and the effects that are still candidates.
 
-    estimates: the unknowns by the part that is held out. errors: those of the user's filter with the effects so far,
-    in each part with the estimate from the others.
+    errors: of the user's filter with the effects so far, in each part of the data with the estimate from the others.
+    effects: candidates. rejected: effects that failed since the last one was added. estimates: the unknowns, for each
+    part that is held out. rounds: the tested candidates of each round. chosen: for each round that tried any, the
+    name of the effect that it added, or of the first one tried. hidden: by name, why an effect or a parameter does not
+    show.
     """
 
     problem: Problem
@@ -34,7 +37,7 @@ class Known:
 
     @property
     def noise(self) -> int:
-        """How many of the unknowns, the first ones, are noise levels."""
+        """Number of noise levels; they are the first unknowns."""
         return sum(u.noise for u in self.model.unknowns)
 
     def corrected(self) -> dict:
@@ -42,5 +45,5 @@ class Known:
         return self.problem.corrected(self.model.unknowns, self.model.x)
 
     def by_part(self) -> list[dict]:
-        """The same by the part that is held out; one for all where nothing was estimated."""
+        """The same with the estimates without each part; a single one if nothing was estimated."""
         return [self.problem.corrected(self.model.unknowns, x) for x in self.estimates] or [self.corrected()]

@@ -1,4 +1,4 @@
-"""Errors of a filter where it was not fitted: with all fixes, and in outages."""
+"""Errors of a filter on data that it was not fitted to: with all fixes used, and in outages."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -20,20 +20,20 @@ from .folds import in_mask, parts
 from .problem import Problem, on_all_cores
 from .residuals import tempered
 
-#: sigmas up to which errors in outages count as they are: who is in an outage wants to be told of the large ones
+#: number of sigmas beyond which the likelihood of an error in an outage decreases with its logarithm only. Larger than
+#: for innovations: a sigma that is too small in outages must count
 END_TAIL = 6.0
-#: a predicted error smaller than this is none, m
-SMALLEST_ERROR = 0.1
+SMALLEST_ERROR = 0.1  # m, smallest sigma that is assumed for an error in an outage
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Errors of one model: at the truth's epochs with the fixes used, in outages, and the innovations of its filter.
+    """Errors of one model: at the epochs of the truth with the fixes used, in outages, and of the predicted fixes.
 
-    independent: whether the truth is more than the fixes that the filter was given. stamp, likelihood (k,): of the
-    fixes that count, ns, and how well each was predicted. drives: those of each of several drives, by name. late: s,
-    by which the truth's clock is later than that of the tracks, as far as it is not known; timeless: the same with that
-    taken out, where the truth may have a clock of its own.
+    independent: whether there is another truth than the fixes that the filter was given. stamp, likelihood (k,): ns and
+    log likelihood of the predicted fixes. drives: the errors in each of several drives, by name. late: s by which the
+    truth is estimated to be stamped later than the track; timeless: the errors without that offset, if the truth may
+    have a clock of its own.
     """
 
     continuous: Errors
@@ -46,7 +46,7 @@ class Measured:
     timeless: Measured | None = None
 
     def select(self, epochs: Callable, fixes: np.ndarray) -> Measured:
-        """With those epochs of the truth for which `epochs` says so of their stamps, and those `fixes` (k,)."""
+        """The part at the stamps for which `epochs` returns true, with the fixes of the mask `fixes` (k,)."""
         return replace(self, continuous=self.continuous.select(epochs(self.continuous.stamp)), stamp=self.stamp[fixes],
                        likelihood=self.likelihood[fixes],
                        timeless=self.timeless and self.timeless.select(epochs, fixes))
@@ -57,15 +57,14 @@ class Measured:
                 'outages': [outage_summary(outages) for outages in self.outages]}
 
     def trust(self, nis: np.ndarray) -> Trust:
-        """Whether the filter's sigmas can be trusted. nis (f,): of its innovations, which speak for errors with fixes
-        where the truth is these same fixes; NaN where there is none."""
+        """Whether the errors agree with the filter's sigmas. nis (f,): of its innovations, NaN without one; it stands
+        for the errors with fixes if the truth is the same fixes."""
         nees = self.continuous.nees if self.independent else nis[np.isfinite(nis)]
         return trusted([Consistency(None, nees), *(o.consistency for o in self.outages)])
 
     def scores(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Stamps and log likelihoods of what was predicted: fix by fix, and at the end of the outages of each duration.
-
-        A likelihood counts both: how far off, and how far off the filter thought that it may be.
+        """Stamps and log likelihoods of the predicted positions: of each fix, and at the ends of the outages of each
+        duration. They depend on the errors and on the sigmas.
         """
         outages = (self.timeless or self).outages
         ends = [(o.begin, _end_scores(o)) for o in outages if len(o.begin)]
@@ -73,8 +72,8 @@ class Measured:
 
 
 def _end_scores(outages: Outages) -> np.ndarray:
-    """Log likelihood of the error at the end of each outage, (o,): the covariance as that of a circle, with that of the
-    truth, as fixes that are the truth err as well."""
+    """Log likelihood of the error at the end of each outage, (o,), with a circular covariance that includes that of the
+    truth: fixes that serve as the truth have errors, too."""
     error = np.array([e.horizontal[-1] for e in outages.errors])
     variance = np.maximum([e.variance[-1] for e in outages.errors], SMALLEST_ERROR**2)
     return -0.5 * (2 * np.log(variance) + tempered(error**2 / variance, END_TAIL))
@@ -85,11 +84,11 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
             between: Callable[[], None] = lambda: None) -> Measured:
     """Errors in one drive of a model with parameters `models`: one set, or one for each part, fitted to the others.
 
-    recording: with all fixes, for the truth; imu: the samples that the filter gets. judged: masks of the parts, those
-    of `parts` by default. between: as of `on_all_cores`, after each model.
+    recording: with all fixes, for the truth. imu: the samples that the filter gets. judged: masks of the parts in which
+    errors are measured, by default those of `parts`. between: called after each model (`on_all_cores`).
     """
     first = int(problem.stamp[problem.mask][0])
-    # by the fixes' own stamps, so that the same outages are compared whatever a model says of the clocks
+    # by the stamps of the fixes, so that models with different time offsets have the same outages
     begins = outage_begins(problem.began, problem.full.gnss, 0.0, spacing, min(durations, default=0.0),
                            max(durations, default=0.0))
     if len(models) == 1:
@@ -108,12 +107,12 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
 
 
 def together(drives: dict[str, Measured]) -> Measured:
-    """The errors in several drives, by name, as those of one; of one, these."""
+    """The errors of all `drives` (by name) together."""
     return replace(_joined(list(drives.values())), drives=drives if len(drives) > 1 else {})
 
 
 def _joined(found: Sequence[Measured]) -> Measured:
-    """What was measured in parts of a drive, or in drives on one time axis, in the order of time."""
+    """The errors in several parts of a drive, or in drives on one time axis, in the order of time."""
     if len(found) == 1:
         return found[0]
     stamp, likelihood = (np.concatenate([getattr(m, name) for m in found]) for name in ('stamp', 'likelihood'))
@@ -143,7 +142,8 @@ def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, 
     likelihood = problem.innovations(result).log_likelihood()
 
     def against(truth: Truth, shift: int) -> Measured:
-        """`truth` has stamps that are earlier by `shift` than its own, by which different models are compared."""
+        """Errors against `truth`, whose stamps are earlier by `shift` (ns) than the original ones; the errors get the
+        original stamps, by which models are compared."""
         outages = outages_of(result, coasting, truth, durations, config.imu.restart_gap) if coasting else []
         errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
         return Measured(_later(errors, shift), [
@@ -178,7 +178,7 @@ def _joined_outages(parts: list[Outages]) -> Outages:
 
 
 def in_common(one: Measured, other: Measured) -> Measured:
-    """`one` with the epochs and the outages that `other` has too, so that the means of both are of the same."""
+    """`one` with only the epochs and outages that `other` has, too, so that their means can be compared."""
     return replace(
         one, continuous=one.continuous.select(np.isin(one.continuous.stamp, other.continuous.stamp)),
         outages=[a.select(np.isin(a.begin, b.begin)) for a, b in zip(one.outages, other.outages)],
@@ -187,13 +187,14 @@ def in_common(one: Measured, other: Measured) -> Measured:
 
 
 def nearest(measured: Measured, duration: float = 30.0) -> Outages | None:
-    """Its outages of about `duration` s, None where there are none."""
+    """The outages whose duration is nearest to `duration`, s; None without any."""
     there = [outages for outages in measured.outages if len(outages.begin)]
     return min(there, key=lambda o: abs(o.duration - duration)) if there else None
 
 
 def saved(before: Measured, after: Measured) -> tuple[float, float, float] | None:
-    """Duration of outages, s, and the mean of the largest error in them before and after, m; None without any."""
+    """Duration of the outages nearest to 30 s, and the mean of the largest error in them before and after, m; None
+    without any."""
     one, other = map(nearest, fairly(before, after))
     if one is None or other is None or one.duration != other.duration:
         return None
@@ -201,8 +202,8 @@ def saved(before: Measured, after: Measured) -> tuple[float, float, float] | Non
 
 
 def fairly(before: Measured, after: Measured) -> tuple[Measured, Measured]:
-    """Both without what the truth says of time, if it may have a clock of its own and what is new takes the track away
-    from it: that would be a veto by a clock."""
+    """Both without the time offset of the truth, if the truth may have a clock of its own and the change increases this
+    offset: a wrong clock of the truth must not decide against the change."""
     if before.timeless and after.timeless and abs(after.late) > abs(before.late):
         return before.timeless, after.timeless
     return before, after

@@ -11,18 +11,15 @@ from ..sensor_errors.models import MODELS
 from .fit import objective_of, priors
 from .problem import Problem, Unknown, believed
 
-#: the parameters that say how noisy the sensors are, by model
+#: by sensor error model, the parameter of its noise level
 MODEL_NOISE = {name: model.level for name, model in MODELS.items()}
-#: natural logarithm; standard deviation of a sensor's noise level about what is configured
+#: prior standard deviation of the natural logarithm of a sensor's noise level, about the configured one
 NOISE_PRIOR = 1.0
-#: natural logarithm; the same of the receiver's, which data sheets tell less well
+#: the same for the receiver, of which data sheets say less
 RECEIVER_PRIOR = 1.5
-#: factor by which a fit may make a noise level smaller, at most
-SMALLEST_FACTOR = 3.0
-#: factor by which it may make that of a sensor larger, at most: what asks for more is no noise of it
-LARGEST_FACTOR = 10.0
-#: the same of the receiver
-LARGEST_RECEIVER = 100.0
+SMALLEST_FACTOR = 3.0  # largest factor by which a fit makes a noise level smaller
+LARGEST_FACTOR = 10.0  # largest factor by which it makes that of a sensor larger: more is not noise of the sensor
+LARGEST_RECEIVER = 100.0  # the same for the receiver
 
 
 def noise_unknowns(problem: Problem) -> list[Unknown]:
@@ -52,13 +49,13 @@ def _scaled(names: Sequence[str]) -> Callable:
 
 
 def scaled(values: dict, name: str, factor: float) -> dict:
-    """`values` with `factor` on one of them, a number or one for each axis."""
+    """`values` with the value `name` (a number, or one for each axis) multiplied by `factor`."""
     value = values[name]
     return {**values, name: [v * factor for v in value] if isinstance(value, (list, tuple)) else value * factor}
 
 
 def calibrated(problem: Problem, unknowns: Sequence[Unknown], x=None) -> np.ndarray:
-    """`x` with the noise levels as configured, but for the receiver's: that which explains the innovations best."""
+    """`x` with the noise levels as configured, except the receiver's, which is the one of the highest likelihood."""
     start = np.zeros(len(unknowns)) if x is None else np.array(x, dtype=float)
     start[[u.noise for u in unknowns]] = 0.0
 

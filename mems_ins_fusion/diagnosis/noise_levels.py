@@ -1,8 +1,9 @@
-"""Noise levels for the filter of the user, by what it predicts seconds to a minute ahead.
+"""Noise levels for the user's filter, chosen by its predictions over one second to a minute.
 
-The likelihood of innovations alone may trade what the sensors cannot have for receivers that are too good: the filter
-then follows each fix and knows nothing a minute later. So levels are chosen by predictions over all horizons, one vote
-for each, and each part of the drive is judged with levels that the other parts have chosen.
+The likelihood of the innovations alone may be highest with a noise level of the sensors that is too high and one of the
+receiver that is too low. The filter then follows each fix, and its predictions are useless after a minute. So levels
+are chosen by predictions over all horizons, all with the same weight, and each part of the drive is judged with the
+levels that the other parts have chosen.
 """
 from __future__ import annotations
 
@@ -14,28 +15,26 @@ import numpy as np
 from .measured import Measured
 from .noise import LARGEST_FACTOR, MODEL_NOISE, scaled
 
-#: factors are tried in steps of this
-STEP = float(np.sqrt(10.0))
-#: how much better the predictions of one horizon have to be, in log likelihood, for each level that is moved by a step
+STEP = float(np.sqrt(10.0))  # ratio of successive factors that are tried
+#: smallest gain in log likelihood of one horizon for each step of a level: a smaller one is not worth a change
 WORTH = 3.0
-#: times that all levels are gone through
-SWEEPS = 2
-#: sensors are better or worse by LARGEST_FACTOR at most, in steps; a constraint's sigma is a bound for every road: one
-#: drive that kept to it more closely says nothing of the next
+SWEEPS = 2  # number of passes over all levels
+#: largest number of steps, to LARGEST_FACTOR. The sigma of a constraint must hold on every road, so it is not made
+#: smaller after one drive
 MOST_STEPS = round(np.log(LARGEST_FACTOR) / np.log(STEP))
 STEPS = {'vehicle.non_holonomic_sigma': (0, 1)}
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Factors on noise levels, by name. by_part: those that the other parts would have chosen, for each part."""
+    """Factors on noise levels, by name. by_part: for each part, the factors that the other parts choose."""
 
     factors: dict[str, float]
     by_part: list[dict[str, float]]
 
 
 def multiplied(values: dict, factors: dict[str, float], claimed: float) -> dict:
-    """`values` with these factors on some of them. claimed: m, of a fix, where gnss.sigma leaves it to the messages."""
+    """`values` multiplied by `factors` (by name). claimed: m, sigma of a fix if gnss.sigma is 0 (from the messages)."""
     for name, factor in factors.items():
         if factor != 1.0:
             if name == 'gnss.sigma' and not values[name]:
@@ -45,7 +44,7 @@ def multiplied(values: dict, factors: dict[str, float], claimed: float) -> dict:
 
 
 def adjustable(values: dict) -> list[str]:
-    """The noise levels of the filter with these parameters that may be moved."""
+    """Names of the noise levels of a filter with `values` that may be changed."""
     model = MODEL_NOISE[values['sensor_error_model']]
     names = [f'{sensor}.{part}' for sensor in ('gyroscope', 'accelerometer') for part in ('noise_density', model)]
     if values['vehicle.non_holonomic']:
@@ -56,8 +55,8 @@ def adjustable(values: dict) -> list[str]:
 
 def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], part_of: Callable, count: int,
            claimed: float, start: dict[str, float] | None = None) -> Levels:
-    """The levels that predict best: from those as configured, or from `start` if these are better, one by one up or
-    down, as long as that helps.
+    """The levels that predict best. The search begins at the configured levels, or at `start` if these are better, and
+    moves one level after the other up or down as long as predictions become better.
 
     errors: measures the filters of several parameter sets. part_of: the part, 0 to count - 1, of stamps (k,) ns.
     claimed: as for `multiplied`.
@@ -111,7 +110,7 @@ def _along(best, i, limits: tuple[int, int], merits, tried):
 
 
 def predictions(measured: Measured) -> int:
-    """How many predictions stand alone: outages that begin with the same fix go together, however long they last."""
+    """Number of independent predictions: outages that begin at the same fix count once, whatever their durations."""
     return max([1, *(o.apart for o in measured.outages)])
 
 
@@ -120,7 +119,7 @@ def _factors(names, point) -> dict[str, float]:
 
 
 def _merit(measured: Measured, part_of, count: int) -> np.ndarray:
-    """Mean over the horizons of the mean log likelihood, (count + 1,): without each part, and of all."""
+    """Mean over the horizons of the mean log likelihood, (count + 1,): without each of the parts, and of all data."""
     total = np.zeros(count + 1)
     for stamp, score in measured.scores():
         part = part_of(stamp)

@@ -1,6 +1,7 @@
-"""Fixes that are off alone: the fix before and the one after are not, so nothing of the filter explains them.
+"""Single outliers among the fixes: the fix before and the one after fit, so an error of the filter does not explain
+them.
 
-The search sets them aside; what a user is told of them is a direct look at the recording (`effects/gnss_outliers.py`).
+The search leaves them out. The report on outliers is from a direct look at the recording (`effects/gnss_outliers.py`).
 """
 from __future__ import annotations
 
@@ -12,14 +13,12 @@ from ..effects.gnss_outliers import far_off
 from ..samples import Fixes
 from .residuals import Residual
 
-#: sigmas from which on a fix is off,
-OFF = 6.0
-#: and within which its neighbours have to be
-WITHIN = 3.0
+OFF = 6.0  # number of sigmas beyond which a fix is an outlier
+WITHIN = 3.0  # number of sigmas within which the fixes before and after it have to be
 
 
 def isolated(residual: Residual, mask: np.ndarray) -> np.ndarray:
-    """Which fixes are off alone, (f,) bool."""
+    """(f,) bool: whether a fix is a single outlier."""
     squared = np.where(mask, residual.nis(), 0.0)
     squared = np.where(np.isfinite(squared), squared, 0.0)
     before, after = np.append(0.0, squared[:-1]), np.append(squared[1:], 0.0)
@@ -27,7 +26,7 @@ def isolated(residual: Residual, mask: np.ndarray) -> np.ndarray:
 
 
 def without_far_off(fixes: Fixes) -> Fixes:
-    """`fixes` with those invalid that neither the ones before nor the ones after explain."""
+    """`fixes` with those marked invalid that are far from where the fixes before and after place the vehicle."""
     status = fixes.status.copy()
     status[far_off(fixes)[0]] = -1
     return replace(fixes, status=status)

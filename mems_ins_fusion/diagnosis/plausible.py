@@ -1,4 +1,4 @@
-"""Sizes that no vehicle has: such an estimate is told, with what it usually stands for, and never added."""
+"""Estimates that are impossible for a vehicle: they are reported with their usual cause, and never added."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -6,21 +6,20 @@ from collections.abc import Mapping
 from ..effects.registry import effect_called
 from .estimate import Estimate
 
-#: what recordings show without a filter, too: in words, and how large a difference is one. Of receivers that smooth
-#: over a second the track shows a lag that is too small by up to 0.8 s^2, beyond its sigma
+#: parameters that recordings show without a filter, too: how, in words, and the smallest difference that counts. The
+#: lag of receivers that smooth over a second appears too small in the track, by up to 0.8 s^2 beyond its sigma
 _SHOWN = {'gyroscope_scale.z': ('the angle of the course shows a scale', 0.05),
           'gnss_lag.lag': ('the track between fixes shows a lag', 2.0)}
-#: the same of the clock of an input: where it is shown only vaguely, an offset is not denied by that
+#: the same for the time offset of an input. A vague value does not contradict an estimate
 _CLOCK_SHOWN = 'its stamps beside the IMU or the fixes show an offset', 0.05
-#: sigmas that two values of one quantity are apart which contradict each other
-_CONTRADICTED = 4.0
+_CONTRADICTED = 4.0  # number of sigmas by which two values of one quantity contradict each other
 
 
 def implausible(effect: str, parameters: Mapping[str, Estimate], shown: Mapping[str, Estimate] | None = None) -> str:
-    """Why these sizes cannot be, and what they usually stand for; empty where they can.
+    """In words, why these sizes of an effect are impossible, and their usual cause; empty if they are possible.
 
-    shown: what the recordings show of them without a filter (`TrialRuns.shown`). What is far from that, or is large
-    where nothing of it is shown, is none.
+    shown: values that the recordings show without a filter (`TrialRuns.shown`). A size that is far from these, or large
+    while these are zero within their sigma, is impossible.
     """
     clocks = {name: _CLOCK_SHOWN for name in shown or ()
               if name.endswith('_time_offset.time_offset') and not name.startswith('gnss_time_offset')}
@@ -42,6 +41,6 @@ def implausible(effect: str, parameters: Mapping[str, Estimate], shown: Mapping[
 
 
 def _within(estimate: Estimate) -> tuple[float, float]:
-    """Between which sizes it is, by a sigma: what may be possible is not impossible."""
+    """Smallest and largest size within one sigma: an estimate is impossible only if all of this range is."""
     sigma = estimate.sigma if estimate.known else 0.0
     return abs(estimate.value) - sigma, abs(estimate.value) + sigma

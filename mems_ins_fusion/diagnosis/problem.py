@@ -1,8 +1,8 @@
-"""A recording and the parameters it is filtered with: what may be assumed, and the innovations under it.
+"""A recording and its parameters as an estimation problem: unknowns (noise levels, effects) and the innovations of the
+filter as residuals.
 
-Whatever is assumed - noise levels, effects - the filter is run again and its innovations are the residual. The filter
-that is looked through is not quite the one of the user: what adapts to a misfit - fixes weighted down, refused, or
-believed less the worse they fit - hides that misfit (`looked_through`).
+For each value of the unknowns the filter runs again. It is not quite the user's filter: one that weights down or
+refuses fixes that do not fit, or raises their variance, hides what is to be found (`without_adaptation`).
 """
 from __future__ import annotations
 
@@ -28,47 +28,40 @@ from ..threads import threads
 from .clock import GNSS, IMU
 from .residuals import Residual, lasting
 
-#: innovations of the first seconds after the start belong to the alignment
-SETTLING = 20.0
-#: s between the fixes used; what comes more often is withheld and serves as the truth
-UPDATE_INTERVAL = 1.0
-#: Hz; rate of the averaged IMU samples in the many runs of a diagnosis, at most; errors are measured at the full rate
+SETTLING = 20.0  # s after the start without residuals: these innovations show the alignment
+UPDATE_INTERVAL = 1.0  # s between the fixes used; those in between are withheld and serve as the truth
+#: Hz, highest rate of the averaged IMU samples in the many runs of a diagnosis; errors are measured at the full rate
 FASTEST_RATE = 12.5
-#: Hz; and at least, in a long recording
-SLOWEST_RATE = 5.0
-#: averaged samples that a recording is brought down to within these rates: a run of more takes too long
-MANY_SAMPLES = 20_000
-#: samples among which the start is looked for to the sample, later only to a tenth of a second
+SLOWEST_RATE = 5.0  # Hz, lowest rate of the averaged samples, in a long recording
+MANY_SAMPLES = 20_000  # number of averaged samples of a recording, within these rates: with more a run is too slow
+#: number of samples in which the time of the start is found to the sample; later it is found to a tenth of a second
 _ALIGNING = 100_000
-#: what is added to each fix, m: a diagnosis looks for metres, and no model of a car is right to a centimetre
+#: m, standard deviation that is added to each fix: a diagnosis looks for errors of metres, and no model of a car is
+#: exact to a centimetre
 FLOOR = 0.1
-#: more outliers than this part of the fixes are none
+#: largest share of the fixes that can be outliers: if the filter refuses more, the filter is wrong
 MOST_OUTLIERS = 0.2
-#: what is measured beside the position of a fix: its height, and what the constraints say
+#: names of the residuals besides the horizontal position of a fix: its height, and those of the constraints
 BESIDE = ('height', 'sideways', 'upwards', 'north at rest', 'east at rest', 'down at rest')
-#: constraints since the last fix that make a mean
-FEWEST_SAID = 3
-#: s; length of a block over which scores of neighbouring fixes may go together
-BLOCK = 20.0
-#: s; length of longer blocks, which count, too, as a receiver's errors last for minutes
-LONG_BLOCK = 60.0
-#: long blocks in a recording, at least: fewer show no scatter
-FEWEST_BLOCKS = 10
+FEWEST_SAID = 3  # smallest number of constraints since the last fix of which a mean is taken
+BLOCK = 20.0  # s, length of a block of fixes whose scores may be correlated
+LONG_BLOCK = 60.0  # s, length of the longer blocks that are also used: errors of a receiver can last for minutes
+FEWEST_BLOCKS = 10  # smallest number of long blocks in a recording: fewer do not show their scatter
 
 
 class DiagnosisError(InputError):
-    """A recording that cannot be diagnosed: one line that says why, and what recording it takes."""
+    """A recording cannot be diagnosed. The text is one line: why, and what recording is needed."""
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """One number that is assumed and can be varied.
+    """A scalar that can be estimated: a noise level, or a parameter of an effect.
 
-    apply(values, recording, x) gives the parameters and the recording with it at x; `base` is its value as configured
-    and `step` a difference over which the innovations change linearly. prior: standard deviation of what is plausible;
-    usual: a size that would surprise nobody. one_sided: forward differences only, at a bound or where they are good
-    enough. variance: it stands for the square of what it is named after. factor_on: it is the logarithm of a factor on
-    this, or None.
+    apply(values, recording, x) returns the parameters and the recording with the unknown at x. base: its configured
+    value. step: a difference over which the innovations change linearly. prior: standard deviation of plausible values;
+    usual: a common size. one_sided: derivatives by forward differences only, at a bound or where they are accurate
+    enough. variance: x is the square of the parameter that the name says. factor_on: x is the logarithm of a factor on
+    this number; None otherwise.
     """
 
     name: str
@@ -85,22 +78,22 @@ class Unknown:
 
     @property
     def effect(self) -> str:
-        """The effect whose parameter it is, the first part of its name."""
+        """Name of the effect that it is a parameter of: the first part of its name."""
         return self.name.split('.')[0]
 
     @property
     def parameter(self) -> str:
-        """The name of that parameter."""
+        """Name of that parameter: the second part of its name."""
         return self.name.split('.')[1]
 
     def near(self, x: float) -> tuple[float, float]:
-        """Between which values it may be that is about `x`, where it stands for a size: half and twice that."""
+        """Limits of an unknown that is about `x`: half and twice the size that it stands for; none if it has a sign."""
         if self.factor_on is not None:
             return x - np.log(2.0), x + np.log(2.0)
         return (0.25 * x, 4.0 * x) if self.variance and x > 0 else (-np.inf, np.inf)
 
     def meant(self, x: float, sigma: float) -> tuple[float, float]:
-        """Value and sigma of what it is named after."""
+        """Value and sigma of the parameter that the name says, from those of x."""
         if self.factor_on is not None:
             value = self.factor_on * float(np.exp(x))
             return value, value * float(sigma)
@@ -111,21 +104,21 @@ class Unknown:
 
 
 class Problem:
-    """A recording and the parameters it is filtered with; runs of it that differ by what is assumed alone.
+    """A recording and its parameters; all runs of the filter begin with the same start and differ by the unknowns only.
 
-    given: the parameters as given; values: those of the filter that is looked through. full: the recording with the
-    fixes used; drive: the same with averaged samples; recording: as `drive`, as that filter sees it - covariances
-    spelled out, fixes that the filter as given refuses left out. stamp (f,) ns of the fixes; mask (f,): which count.
-    began: ns, of the first estimate by the filter as given, in the clock of the fixes.
-    reference_clock: the clock in which the truth runs (`clock.whose`). others: parameters that a search may start from,
-    too (`starts.other_starts`).
+    given: the parameters as given; values: those of the filter without adaptation (`without_adaptation`). full: the
+    recording with the fixes used; drive: the same with averaged samples; recording: as `drive`, with the covariances
+    that the filter uses written into the fixes, and without those that the filter with the given parameters refuses.
+    stamp (f,): ns, of the fixes; mask (f,): the fixes with a residual. began: ns, time of the first estimate with the
+    given parameters, by the clock of the fixes. reference_clock: clock of the truth (`clock.whose`). others: further
+    parameters from which a search may start (`starts.other_starts`).
     """
 
     def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL,
                  others: Sequence[dict] = ()):
         self.reference_clock = GNSS if recording.reference is None else IMU
         self.given = {**values, **exact_offsets(values)}
-        self.values = looked_through(values, recording)
+        self.values = without_adaptation(values, recording)
         given = FilterConfig.from_parameters(self.given)
         keep = samples_to_keep(recording.imu, recording.imu.stamp[:_ALIGNING])
         first = run(given, recording.imu, recording.gnss, aiding_of(recording), keep=keep)
@@ -174,13 +167,13 @@ class Problem:
         return other
 
     def observed(self, values: dict) -> Residual:
-        """The innovations of the filter of a user with these parameters, whatever it makes of its fixes."""
+        """The innovations of the filter with these parameters as they are, with all its adaptation."""
         config = FilterConfig.from_parameters(values)
         return self.innovations(run(config, self.drive.imu, self.drive.gnss, aiding_of(self.drive),
                                      keep=np.zeros(len(self.drive.imu), dtype=bool)))
 
     def filtered(self, values: dict, recording: Recording, keep: np.ndarray | None = None, through: Callable = run):
-        """A run under other parameters or with another recording, from the same start: what `through` makes of it.
+        """A run with other parameters or another recording, from the same start: what `through` returns for it.
 
         keep: the samples whose states are kept, (n,) bool; all where None. through: `run`, or `run_with_constraints`.
         """
@@ -190,14 +183,15 @@ class Problem:
                        transferred(self.start, self.config, config), keep)
 
     def residual(self, values: dict, recording: Recording) -> Residual:
-        """The innovations under other parameters or with another recording (of the same fixes)."""
+        """The innovations with other parameters or another recording (of the same fixes)."""
         found, said = self.filtered(values, recording, np.zeros(len(recording.imu), dtype=bool), run_with_constraints)
         return replace(self.innovations(found), beside=self.beside(found, said))
 
     def beside(self, of: Run, said: Constrained) -> np.ndarray:
-        """Heights and constraints of a run, (f, 2, b): means over the time since the fix before.
+        """Residuals of heights and constraints and their variances, (f, 2, b): means over the time since the last fix.
 
-        What lasts longer than that is worth less than it seems: variances are multiplied by `self.lasting` (b,).
+        If they are correlated over longer times they say less than their number suggests, so the variances are
+        multiplied by `self.lasting` (b,).
         """
         innovations, n = of.innovations, len(self.stamp)
         found = np.full((n, 2, len(BESIDE)), np.nan)
@@ -240,13 +234,13 @@ class Problem:
 
     @property
     def diluted(self) -> float:
-        """By what part a regression on that attitude may come out too small, as it is not exact: the variance of its
-        errors, as far as it knows them, over that of roll and pitch (C. Spearman, 1904)."""
+        """Relative bias of a regression on that attitude (attenuation, C. Spearman, 1904): the variance of its errors,
+        by the filter's sigmas, over the variance of roll and pitch."""
         return self._attitude()[2]
 
     def _strapdown_attitude(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Roll and pitch, rad, at each IMU sample by a strapdown run of what was configured; 0 before its start. And
-        `diluted`."""
+        """Roll and pitch, rad, at each IMU sample from a strapdown run with the other parameters as configured, 0
+        before its start; and `diluted`."""
         imu, config = self.recording.imu, FilterConfig.from_parameters({**self.values, 'mechanization': 'strapdown'})
         result = run(config, imu, self.recording.gnss, aiding_of(self.recording))
         roll, pitch = np.zeros((2, len(imu)))
@@ -264,7 +258,7 @@ class Problem:
         return values, recording
 
     def moved(self, unknowns: Sequence[Unknown], x) -> Problem:
-        """The same problem with `unknowns` at `x` as what is assumed."""
+        """The same problem with `unknowns` at `x` in its parameters and its recording."""
         other = copy.copy(self)
         other.values, other.recording = self.assume(unknowns, x)
         return other
@@ -285,9 +279,10 @@ class Problem:
         return on_all_cores(one, points)
 
 
-def looked_through(values: dict, recording: Recording) -> dict:
-    """`values` for the filter that a diagnosis looks through: each fix believed as stated, nothing that adapts, and no
-    standstills where `recording` cannot tell these from motion: each that is none is a step in the innovations."""
+def without_adaptation(values: dict, recording: Recording) -> dict:
+    """`values` for a filter whose innovations show what its model lacks: it uses each fix with its stated covariance,
+    and nothing adapts. Standstills are off if `recording` does not distinguish them from motion, as each false one is a
+    step in the innovations."""
     shown = standstills_show(recording.imu, recording.gnss) if values['vehicle.zero_velocity'] else None
     return {**values, 'gnss.sigma': 0.0, 'gnss.adapt_sigma': False, 'gnss.gate_probability': 1.0,
             'gnss.robust_sigma': 0.0, 'vehicle.learn_drift': False, **exact_offsets(values),
@@ -296,8 +291,7 @@ def looked_through(values: dict, recording: Recording) -> dict:
 
 
 def exact_offsets(values: dict) -> dict:
-    """The parameters among `values` without which a filter takes all time offsets for exact: one that estimates them
-    itself hides that they are wrong."""
+    """The parameters that make all time offsets exact: a filter that estimates these itself hides wrong ones."""
     return dict.fromkeys(['gnss.time_offset_sigma', *(f'{one.name}.time_offset_sigma' for one in aiding(values))], 0.0)
 
 
@@ -321,7 +315,7 @@ def averaged(imu: ImuSamples, rate: float) -> ImuSamples:
 
 
 def stated(fixes: Fixes, values: dict) -> np.ndarray:
-    """Covariances (f, 3, 3) m^2, east-north-up, that the filter takes `fixes` to have."""
+    """Covariances (f, 3, 3) m^2, east-north-up, that a filter with `values` assigns to `fixes`."""
     config = FilterConfig.from_parameters(values)
     record, _, _ = config.inputs[Kind.POSITION].records(config.gnss, fixes)
     covariance = np.zeros((len(fixes), 3, 3))
@@ -332,14 +326,14 @@ def stated(fixes: Fixes, values: dict) -> np.ndarray:
 
 
 def believed(fixes: Fixes, claimed: np.ndarray, x: float, outlying: np.ndarray) -> Fixes:
-    """`fixes` with exp(x) times the standard deviations `claimed`, and FLOOR; those `outlying` (f,) are none."""
+    """`fixes` with the covariances `claimed` times exp(2 x), plus FLOOR^2; those `outlying` (f,) are marked invalid."""
     covariance = np.exp(2 * x) * claimed + FLOOR**2 * np.eye(3)
     return replace(fixes, covariance=covariance, covariance_type=np.full(len(fixes), 3, dtype=np.uint8),
                    status=np.where(outlying, np.int8(-1), fixes.status))
 
 
 def _refused(of: Run, count: int) -> np.ndarray:
-    """Which of `count` fixes the filter refused, (f,): where it refuses many, it is the one that is wrong."""
+    """(f,) bool: whether the filter refused a fix, of `count`; none if it refused more than MOST_OUTLIERS."""
     refused = np.zeros(count, dtype=bool)
     mine = (of.measured.kind == Kind.POSITION) & (of.measured.record[:, Event.VERDICT] == Verdict.REFUSED)
     refused[of.measured.index[mine]] = True
@@ -347,8 +341,8 @@ def _refused(of: Run, count: int) -> np.ndarray:
 
 
 def on_all_cores(work: Callable, items: Iterable, between: Callable[[], None] = lambda: None) -> list:
-    """What `work` makes of each of `items`: a filter runs without the interpreter's lock. between: called after each
-    where there is one thread only, so that nothing else goes on meanwhile."""
+    """`work` of each of `items`, in threads: a filter runs without the interpreter's lock. between: called after each
+    item if there is only one thread, where nothing else could run meanwhile."""
     if threads() > 1:
         with ThreadPoolExecutor(threads()) as pool:
             return list(pool.map(work, items))
@@ -360,12 +354,12 @@ def on_all_cores(work: Callable, items: Iterable, between: Callable[[], None] = 
 
 
 def block_begins(problem: Problem, length: float = BLOCK) -> np.ndarray:
-    """Where blocks of `length` seconds begin among the fixes that count."""
+    """Indices, among the fixes of the mask, at which blocks of `length` s begin."""
     block = (problem.stamp[problem.mask] - problem.stamp[0]) // round(length * 1e9)
     return np.unique(block, return_index=True)[1]
 
 
 def blocks(problem: Problem) -> list[np.ndarray]:
-    """The same for each length over which scores may go together: a receiver's errors last for minutes."""
+    """`block_begins` for BLOCK, and for LONG_BLOCK if the recording is long enough."""
     long = block_begins(problem, LONG_BLOCK)
     return [block_begins(problem), *([long] if len(long) >= FEWEST_BLOCKS else [])]

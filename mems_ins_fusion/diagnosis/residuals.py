@@ -9,12 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-#: innovations beyond this many sigma count by their logarithm
-TAIL = 3.0
-#: innovations at least that tell how long they last
-FEWEST_LASTING = 50
-#: fixes up to which that is looked for
-LASTING = 30
+TAIL = 3.0  # number of sigmas beyond which the likelihood decreases with the logarithm of an innovation only
+FEWEST_LASTING = 50  # smallest number of innovations from which autocorrelations are estimated
+LASTING = 30  # largest lag of the autocorrelations, in fixes
 
 
 @dataclass(frozen=True)
@@ -22,8 +19,8 @@ class Residual:
     """Innovations of one run, by the fixes used (f,): z (f, 2) north-east m, s (f, 3) covariance nn, ne, ee, m^2; NaN
     where a fix was not applied. yaw (f,) rad and velocity (f, 2) m/s of the prediction.
 
-    beside (f, 2, b): innovation and variance of what else was measured since the fix before, each a number of its own;
-    NaN where there was nothing."""
+    beside (f, 2, b): innovation and variance of each of the other scalar residuals since the last fix (heights,
+    constraints); NaN without one."""
 
     z: np.ndarray
     s: np.ndarray
@@ -77,9 +74,8 @@ def tempered(nis: np.ndarray, tail: float = TAIL) -> np.ndarray:
 
 
 def lasting(beside: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """By how much the mean of many innovations scatters more than a single one of them divided by their number: the
-    variance of the long run over that of one, (b,), by autocorrelations up to LASTING fixes, as long as they are
-    positive (M. S. Bartlett, 1946). 1 where there is too little to tell."""
+    """(b,): factor on the variance of a mean of many innovations because they are correlated, from their
+    autocorrelations up to the lag LASTING or the first negative one (M. S. Bartlett, 1946). 1 with too few of them."""
     found = np.ones(beside.shape[2])
     for k in range(len(found)):
         z, s = beside[mask, :, k].T

@@ -1,6 +1,7 @@
-"""The search: find the residual, trace it to an effect the model lacks, add that effect, prove it (DESIGN, 5).
+"""The search for effects that the model lacks: test all candidates on the innovations, add the best one, and keep it if
+predictions of held-out data become better (docs/closing_the_loop.md).
 
-Each step takes what is known so far (`Known`, never changed) and returns what is known after it.
+Each step takes the state of the search (`Known`, which is never changed) and returns the state after it.
 """
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ from .findings import Finding
 from .fit import Model, fit, scores
 from .folds import parts
 from .held_out import CERTAIN, held_out
-from .judgement import all_in_all, compared, objection
+from .judgement import compared, objection, overall_ratio
 from .judging import CLOSE, COMPARED, REFITTED, Judged, judge, prune, small, with_candidate
 from .known import Known
 from .measured import saved
@@ -35,28 +36,30 @@ from .tracing import (
 )
 from .trial_runs import TrialRuns
 
-#: candidates that are fitted in one round from each start, to see which explains most
+#: number of candidates that one round fits from one start, to see which of them explains most
 TRIED = 3
-#: share of the largest gain that a candidate needs to be fitted
+#: smallest gain of a candidate that is fitted, as a share of the largest gain
 PART = 0.2
-#: candidates that are fitted in one round from all starts together, as each fit takes long
+#: largest number of candidates that one round fits, of all starts together: each fit takes seconds
 MOST_TRIED = 4
-#: share of the work of a search after which a round traces from one start alone: each further one takes as long
+#: share of the largest amount of work (`TrialRuns.done`) after which a round tests from one start only: each further
+#: start takes as long
 ONE_START = 0.6
-#: the same, after which a round that has failed with a candidate tries no other
+#: the same share, after which a round tries no other candidate if the first one has failed
 ONE_CANDIDATE = 0.8
-#: of the way from noise levels as configured to those fitted: the start between them
+#: noise levels of the third start, on the way from the configured ones (0) to the fitted ones (1)
 BETWEEN = 0.5
-#: position errors all in all that differ by this factor tell effects apart
+#: ratio of two position errors above which two effects that explain the same innovations are distinguished
 DIFFERENT = 1.1
-#: noise levels that differ by less than this (natural logarithm) make no other start
+#: difference of noise levels (natural logarithm) below which two starts are the same
 SAME_START = 0.7
-#: what lasts, and what changes and so can do all that it does: the plainer one is tried first
+#: for effects that are constant, those that vary with time and so explain the same data, too. The constant one is tried
+#: first
 VARIED = dict.fromkeys(('gnss_time_offset', 'gnss_lag'), ('gnss_latency', 'gnss_coloured_noise'))
 
 
 def begin(trials: TrialRuns) -> Known:
-    """The model without effects: fixes that are off alone set aside, noise levels fitted."""
+    """The search before its first round: no effects, noise levels fitted, single fixes that are far off left out."""
     trials.searching('fitting noise levels')
     problem = trials.origin
     noise = noise_unknowns(problem)
@@ -64,19 +67,19 @@ def begin(trials: TrialRuns) -> Known:
     problem = problem.without(isolated(at, problem.mask) | _far_off(problem))
     noise = noise_unknowns(problem)
     model = fit(problem, noise, calibrated(problem, noise))
-    return _hidden(Known(problem, model, trials.errors([trials.origin.given]), trials.library))
+    return _without_hidden(Known(problem, model, trials.errors([trials.origin.given]), trials.library))
 
 
 def _far_off(problem: Drives) -> np.ndarray:
-    """Which fixes neither those before nor those after them explain, (f,) bool."""
+    """(f,) bool: whether a fix is far from where the fixes before it and those after it place the vehicle."""
     found = np.zeros(len(problem.stamp), dtype=bool)
     for drive, where in zip(problem.each, problem.slices):
         found[where.start + far_off(drive.drive.gnss)[0]] = True
     return found
 
 
-def _hidden(known: Known) -> Known:
-    """Without the effects of which none of the drives can say anything."""
+def _without_hidden(known: Known) -> Known:
+    """`known` without the effects that do not show in any of the drives."""
     reasons = {}
     for e in known.effects:
         own = [e.hidden(known.problem.given, p.recording) for p in known.problem.each]
@@ -88,12 +91,11 @@ def _hidden(known: Known) -> Known:
                    effects=tuple(e for e in known.effects if not reasons[e.name]))
 
 
-# one round: trace, try, judge
+# one round: score tests, fits, proof on held-out data
 
 def add_best(known: Known, trials: TrialRuns) -> Known:
-    """Trace from several starts, and add the best candidate that helps on held-out data.
-
-    A `Known` without a further choice where nothing is significant."""
+    """`known` with the best candidate that improves predictions of held-out data; score tests are made from several
+    starts. `chosen` stays as it is if nothing is significant."""
     if not known.effects:
         return known
     trials.searching('testing effects')
@@ -117,24 +119,24 @@ def add_best(known: Known, trials: TrialRuns) -> Known:
     known = replace(known, rounds=(*known.rounds, candidates))
     if not significant:
         return known
-    # each from the start where it explains most, those first that are first at some start
+    # each is fitted from the start where it explains most; first those that explain most of all at a start
     names = [c.name for _, c, _ in sorted(significant, key=lambda found: (found[0], best[found[1].name][0].p))]
     names = list(dict.fromkeys(names))[:MOST_TRIED]
     names += [plain for plain, varied in VARIED.items() if plain not in names and any(n in names for n in varied)
               and plain in best and best[plain][0].p_adjusted <= SIGNIFICANCE]
-    # what is far off need not show where the search begins
+    # an effect that is large may not show at noise levels that were fitted without it
     names += [name for name, sizes in trials.starts.items() if sizes and name not in names and name in best
               and best[name][0].scores is not None and (name in trials.certain or not known.rounds[:-1])]
     others = f' or {len(names) - 1} others' if len(names) > 2 else ''.join(f' or {name}' for name in names[1:])
     trials.searching(f'adding {names[0]}{others}')
-    return _tried(known, [best[name] for name in names], candidates, trials)
+    return _with_best_of(known, [best[name] for name in names], candidates, trials)
 
 
-def replaced(known: Known, trials: TrialRuns) -> Known:
-    """With what another mechanization takes out, if that one predicts better for certain.
+def with_other_mechanization(known: Known, trials: TrialRuns) -> Known:
+    """`known` with the mechanization that an effect asks for (tilt: strapdown), if that certainly predicts better.
 
-    Nothing of it is fitted to the data, so it needs no score test, which a planar filter on hills may fail: the slopes
-    are in its noise levels then.
+    Nothing is fitted to the data for it, so no score test is needed. On hills a planar filter may not pass that test,
+    because its fitted noise levels contain the slopes.
     """
     for effect in known.effects:
         for fixed in effect.tried:
@@ -150,15 +152,16 @@ def replaced(known: Known, trials: TrialRuns) -> Known:
             candidate = replace(candidate, gain=2 * judged.proof.gain, p=judged.proof.p, p_adjusted=judged.proof.p)
             finding = Finding(effect.name, [effect.name], judged.parameters, candidate.gain, candidate.p, True,
                               judged.proof, saves=saved(known.errors, judged.errors))
-            return _taken(replace(known, rounds=(*known.rounds, [candidate])), judged, finding, [])
+            return _with_added(replace(known, rounds=(*known.rounds, [candidate])), judged, finding, [])
     return known
 
 
 def starts(known: Known) -> list[np.ndarray]:
-    """The unknowns at different noise levels: as fitted, as configured with the receiver's as it shows, and at first
-    between them.
+    """The unknowns at which score tests are made: with noise levels as fitted, as configured (the receiver's as its
+    fixes scatter), and in the first round with those between the two.
 
-    Fitted levels may have swallowed an effect, and configured ones may hide it behind others.
+    An effect may not show at fitted levels, because they have grown to explain it, nor at configured ones, if other
+    effects are larger there.
     """
     model, n = known.model, known.noise
     configured = calibrated(known.problem, model.unknowns, model.x)
@@ -169,16 +172,17 @@ def starts(known: Known) -> list[np.ndarray]:
     return found
 
 
-def _tried(known: Known, significant, candidates: list[Candidate], trials: TrialRuns) -> Known:
-    """With the best of the significant candidates in the model, if it helps on held-out data.
+def _with_best_of(known: Known, significant, candidates: list[Candidate], trials: TrialRuns) -> Known:
+    """`known` with the best of the significant candidates, if it improves predictions of held-out data.
 
-    Of those that explain the same, the position errors decide where these differ: a reference may know more. What
-    cannot be is told and makes room for the next. What the recordings show for certain without a filter goes first.
+    If several explain the same innovations, the one with the smaller position errors is taken: a reference may show
+    what fixes do not. A candidate that fails is reported, and the next one is tried. Those that the recordings show for
+    certain without a filter are tried first.
     """
     chosen = {candidate.name: candidate for candidate, _ in significant}
     models = {candidate.name: with_candidate(known, candidate, view, trials) for candidate, view in significant}
     mask = np.logical_and.reduce([model.problem.mask for model in models.values()])
-    # another mechanization measures other things beside the fixes
+    # with another mechanization there are other measurements besides the fixes: only those of the fixes are compared
     comparable = all(model.problem is known.problem for model in models.values())
     merit = {name: float(np.nansum((m.residual if comparable else m.residual.of_fixes).log_likelihood()[mask]))
              - len(chosen[name].theta) for name, m in models.items()}
@@ -188,7 +192,7 @@ def _tried(known: Known, significant, candidates: list[Candidate], trials: Trial
     order.sort(key=first.index)
     failed: list[Finding] = []
     for name in order:
-        # nothing stands for what the recordings show for certain
+        # an effect that the recordings show for certain is in no group with others
         alike = [name] if name in trials.certain else [
             e.name for e in known.effects if e.name in merit and abs(merit[e.name] - merit[name]) < CLOSE
             and e.name not in {f.name for f in failed}]
@@ -199,16 +203,16 @@ def _tried(known: Known, significant, candidates: list[Candidate], trials: Trial
         best = judged[names[0]]
         for n in names[1:]:
             if n in judged and not judged[n].against and (
-                    best.against or all_in_all(compared(best.errors, judged[n].errors)) < 1 / DIFFERENT):
+                    best.against or overall_ratio(compared(best.errors, judged[n].errors)) < 1 / DIFFERENT):
                 best = judged[n]
-        others = [n for n in names if n != best.candidate.name and not _denied(n, candidates, trials) and (
-            n not in judged or all_in_all(compared(best.errors, judged[n].errors)) < DIFFERENT)]
+        others = [n for n in names if n != best.candidate.name and not _is_ruled_out(n, candidates, trials) and (
+            n not in judged or overall_ratio(compared(best.errors, judged[n].errors)) < DIFFERENT)]
         sizes = trials.told(name, best.parameters) if best.against else best.parameters
         finding = Finding(best.candidate.name, [best.candidate.name, *others], sizes, best.candidate.gain,
                           best.candidate.p_adjusted, not best.against, best.proof, best.against, drives=best.drives,
                           apart=best.apart, saves=saved(known.errors, best.errors))
         if not best.against:
-            return _taken(known, best, finding, failed)
+            return _with_added(known, best, finding, failed)
         failed.append(finding)
         if trials.enough(ONE_CANDIDATE):
             break
@@ -218,8 +222,8 @@ def _tried(known: Known, significant, candidates: list[Candidate], trials: Trial
                    rejected=(*known.rejected, *(e for e in known.effects if e.name in names)))
 
 
-def _denied(name: str, candidates: Sequence[Candidate], trials: TrialRuns) -> bool:
-    """Whether the recordings, or reason, deny what the candidate of this name would have to be."""
+def _is_ruled_out(name: str, candidates: Sequence[Candidate], trials: TrialRuns) -> bool:
+    """Whether the candidate of this name has a size that no vehicle has, or that the recordings contradict."""
     return any(c.name == name and implausible(name, {n: Estimate(x, None, '') for n, x in c.values().items()},
                                               trials.shown) for c in candidates)
 
@@ -229,10 +233,10 @@ def _with_findings(findings, new: Sequence[Finding]) -> tuple[Finding, ...]:
     return (*(f for f in findings if f.name not in names), *new)
 
 
-def _taken(known: Known, best: Judged, finding: Finding, failed: list[Finding]) -> Known:
-    """With what was judged in the model; what did not help before may help now."""
+def _with_added(known: Known, best: Judged, finding: Finding, failed: list[Finding]) -> Known:
+    """`known` with the effect that was judged. Effects that failed before are candidates again: they may help now."""
     effects = tuple(e for e in dict.fromkeys((*known.effects, *known.rejected)) if e.name != finding.name)
-    return _hidden(replace(
+    return _without_hidden(replace(
         known, problem=best.model.problem, model=best.model, errors=best.errors, estimates=tuple(best.proof.estimates),
         findings=_with_findings(known.findings, [*failed, finding]), chosen=(*known.chosen, finding.name),
         effects=effects, rejected=(), hidden=known.hidden | best.hidden))
@@ -241,7 +245,8 @@ def _taken(known: Known, best: Judged, finding: Finding, failed: list[Finding]) 
 # when all rounds are over
 
 def without_superseded(known: Known, trials: TrialRuns) -> Known:
-    """Without what an effect that was added later has made superfluous, unless it is shown without a filter."""
+    """`known` without the effects that are no longer needed since another one was added, unless the recordings show
+    them without a filter."""
     for finding in [f for f in known.findings if f.added and f.name not in trials.certain][:-1]:
         model = known.model
         kept = [i for i, u in enumerate(model.unknowns) if u.effect != finding.name or u.noise]
@@ -261,8 +266,8 @@ def without_superseded(known: Known, trials: TrialRuns) -> Known:
 
 
 def without_undetermined(known: Known, trials: TrialRuns) -> Known:
-    """Without the effects and parameters that effects added later have left undetermined: what is added has to be as
-    plain in the end as when it was added."""
+    """`known` without the effects and parameters that are not determined any more since others were added: the limits
+    are those for adding an effect."""
     model, reasons = known.model, {}
     sigma = sigmas(model, trials.beside.track, trials.origin.given)
     for finding in known.findings:
@@ -291,5 +296,5 @@ def without_undetermined(known: Known, trials: TrialRuns) -> Known:
 
 
 def _by_part(model: Model, noise: int) -> list[np.ndarray]:
-    """The unknowns of `model` by the part that is held out."""
+    """The unknowns of `model`, fitted with each of the parts held out in turn."""
     return [model.refitted(model.problem.mask & ~part, noise)[0] for part in parts(model.problem)]

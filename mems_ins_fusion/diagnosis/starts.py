@@ -1,5 +1,5 @@
-"""What recordings show without a filter, and so other values to start a search from than those of the parameters: one
-that is wrong must be left again."""
+"""What recordings show without a filter, and the further starts of a search that follow from it: a search that begins
+at a wrong time offset may not leave it."""
 from __future__ import annotations
 
 import math
@@ -16,27 +16,26 @@ from ..configuration.remaining import Remaining
 from ..recordings.findings import SURE
 from ..samples import Recording
 
-#: s: time offsets that are closer than this lead to the same maximum
-SAME = 0.05
+SAME = 0.05  # s, difference of time offsets below which two starts lead to the same maximum
 TIME_OFFSET = 'gnss.time_offset'
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What recordings show together without a filter. track: time offset, arm and smoothing of the receiver, None where
-    the fixes show nothing. clocks: by the name of an input, what the parameters leave of its time offset."""
+    """What all recordings show without a filter. track: time offset, lever arm and smoothing of the receiver; None if
+    the fixes do not show them. clocks: by the name of an input, its time offset minus the given one."""
 
     track: Offset | None = None
     clocks: Mapping[str, Remaining] = field(default_factory=dict)
 
     @property
     def late(self) -> dict[str, float]:
-        """The inputs whose clocks are off for certain, and by how much, s."""
+        """By name of the input: time offsets, s, that are certainly not as given."""
         return {name: left.value for name, left in self.clocks.items() if left.certain(SMALL_OFFSET, SURE)}
 
 
 def shown_without_filter(recordings: Sequence[Recording], values: dict) -> Shown:
-    """What the recordings show beside the checked parameters `values`."""
+    """What the recordings show, relative to the checked parameters `values`."""
     found = [estimate_mounting(recording.imu, recording.gnss) for recording in recordings]
     each = [clocks_left(recording, recording.imu, mounting, values) for recording, mounting in zip(recordings, found)]
     clocks = {}
@@ -49,8 +48,7 @@ def shown_without_filter(recordings: Sequence[Recording], values: dict) -> Shown
 
 
 def other_starts(offset: Offset | None, values: dict) -> list[dict]:
-    """`values` with the time offset that the tracks show, and with none at all, where that is another start than
-    `values`."""
+    """`values` with the time offset that the tracks show, and with none, as far as these differ from `values`."""
     tried, others = [values[TIME_OFFSET]], []
     for lag in ([offset.lag] if offset is not None and offset.shown else []) + [0.0]:
         if all(abs(lag - other) > SAME for other in tried):

@@ -1,9 +1,10 @@
-"""Score tests: which effect would explain the innovations, by how much, and what could be mistaken for it.
+"""Score tests: which effect explains the innovations, by how much, and which other effects cannot be told from it.
 
-For a candidate with parameters theta, the derivatives of the innovations by theta (from runs of the filter) give a
-score g and an information I, with the noise levels' share taken out: gain = g' I^-1 g, theta = I^-1 g, sigma from I^-1
-(C. R. Rao, 1948). Where the rest of the model is wrong, too, neighbouring scores go together and the gain is too large;
-so it is divided by what the scores of blocks of time scatter more than they should.
+For a candidate with parameters theta, the derivatives of the innovations with respect to theta (from runs of the
+filter) give a score g and an information I, both with the noise levels as nuisance parameters: gain = g' I^-1 g,
+theta = I^-1 g, sigma from I^-1 (C. R. Rao, 1948). If the rest of the model is wrong, neighbouring scores are correlated
+and the gain is too large. It is divided by the ratio of the actual scatter of scores, over blocks of time, and the
+expected one.
 """
 from __future__ import annotations
 
@@ -19,23 +20,21 @@ from .fit import Scores, scores
 from .problem import Problem, Unknown, blocks
 from .residuals import Residual
 
-#: family-wise error of one round of tests
-SIGNIFICANCE = 0.01
-#: part of an effect's signal that another stands for when the two cannot be told apart
+SIGNIFICANCE = 0.01  # largest family-wise error rate of the tests in one round
+#: share of the signal of one effect that another effect explains, above which the two are not distinguished
 PARALLEL = 0.95
-#: sigma of a parameter over its usual size, up to which it is determined
-DETERMINED = 1.0
-#: the same of a parameter whose value is larger than DISTINCT sigmas
-TOLERATED = 5.0
-#: sigmas
-DISTINCT = 3.5
+DETERMINED = 1.0  # largest sigma of a parameter that is determined, in units of its usual size
+TOLERATED = 5.0  # the same limit if the value is larger than DISTINCT sigmas
+DISTINCT = 3.5  # number of sigmas, see TOLERATED
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect under test: its unknowns that the data determine, what they come to, and how much they explain.
+    """Result of the score test of one effect: its unknowns that the data determine, with estimates theta and sigma, the
+    gain of log likelihood (times two), and p values.
 
-    fixed: parameters that were tried at some values, at the best of them. scores: noise levels' share taken out.
+    fixed: parameters that are tested at a few values only, at the best of these. scores: without the part that noise
+    levels explain; None if nothing is determined.
     """
 
     effect: Effect
@@ -54,12 +53,12 @@ class Candidate:
         return self.effect.name
 
     def values(self) -> dict[str, float]:
-        """The effect's parameters as estimated, or as they were tried."""
+        """The parameters of the effect: estimated, or fixed."""
         return self.fixed | {u.parameter: float(t) for u, t in zip(self.unknowns, self.theta)}
 
 
 def effect_unknowns(effect: Effect, fixed: dict[str, float], attitude: Callable | None = None) -> list[Unknown]:
-    """One unknown for each parameter of `effect` that a diagnosis can vary, the `fixed` ones left where they are.
+    """One unknown for each parameter of `effect` that can be estimated; those in `fixed` keep these values.
 
     attitude: `Problem.attitude`, for the effects that need it.
     """
@@ -67,7 +66,7 @@ def effect_unknowns(effect: Effect, fixed: dict[str, float], attitude: Callable 
 
     def varied(parameter):
         def apply(values, recording, x):
-            # what is looked for in the innovations is the variance: a standard deviation of zero has no derivative
+            # the unknown is the variance: at zero, innovations have no derivative by a standard deviation
             change = float(np.sqrt(max(x, 0.0))) if parameter.variance else x
             if change == 0:
                 return values, recording
@@ -83,7 +82,8 @@ def effect_unknowns(effect: Effect, fixed: dict[str, float], attitude: Callable 
 
 
 def refined_unknowns(effect: Effect, fixed: dict[str, float]) -> list[Unknown]:
-    """Logarithms of factors on the parameters that were tried at `fixed`: once the effect is there, they show, too."""
+    """Unknowns for the parameters in `fixed`, as logarithms of factors: they can be estimated once the effect is in the
+    model."""
     zero = {p.name: 0.0 for p in effect.traced} | fixed
 
     def varied(name):
@@ -97,7 +97,7 @@ def refined_unknowns(effect: Effect, fixed: dict[str, float]) -> list[Unknown]:
 
 def also_determined(problem: Problem, unknowns: Sequence[Unknown], nuisance: Scores, at: Residual,
                     mask: np.ndarray) -> list[Unknown]:
-    """Those of `unknowns`, none of them in the model yet, that the data determine at the present one."""
+    """Those of `unknowns` that the data determine beside the present model, which does not contain them."""
     if not unknowns:
         return []
     _, own = scores(problem, unknowns, np.zeros(len(unknowns)), at)
@@ -108,7 +108,8 @@ def also_determined(problem: Problem, unknowns: Sequence[Unknown], nuisance: Sco
 
 def trace(problem: Problem, nuisance: Scores, at: Residual, effects: Sequence[Effect], mask: np.ndarray,
           progress: Callable[[], None] = lambda: None) -> list[Candidate]:
-    """All candidates at the present model of `problem`, the best first; nuisance: scores of what is fitted already."""
+    """Score tests of all `effects` beside the present model of `problem`, the best first. nuisance: scores of the
+    unknowns that are fitted already."""
     found = []
     for effect in effects:
         tried = []
@@ -141,7 +142,7 @@ def _test(problem, effect, unknowns, own: Scores, nuisance: Scores, mask, fixed)
 
 
 def efficient(own: Scores, nuisance: Scores, mask) -> Scores:
-    """The scores of an effect's parameters with the share of the nuisance parameters taken out."""
+    """The efficient scores of the parameters of an effect: without the part that the nuisance parameters explain."""
     information = nuisance.information(mask)
     share = np.linalg.lstsq(information, nuisance.information(mask, own), rcond=1e-10)[0]
     return Scores(own.score - nuisance.score @ share,
@@ -149,7 +150,7 @@ def efficient(own: Scores, nuisance: Scores, mask) -> Scores:
 
 
 def _determined(information: np.ndarray, total: np.ndarray, unknowns: Sequence[Unknown]) -> np.ndarray:
-    """Which unknowns the data determine: the worst ones are left out until the others are."""
+    """(p,) bool: whether the data determine an unknown. The least determined one is left out until all others are."""
     usual = np.array([u.usual for u in unknowns])
     keep = np.ones(len(usual), dtype=bool)
     while keep.any():
@@ -163,15 +164,15 @@ def _determined(information: np.ndarray, total: np.ndarray, unknowns: Sequence[U
 
 
 def determined(theta: np.ndarray, sigma: np.ndarray, unknowns: Sequence[Unknown]) -> np.ndarray:
-    """Which of `unknowns` are determined: a rather large sigma does not speak against a value many times larger."""
+    """(p,) bool: whether an unknown is determined: its sigma is small, or not very large and the value many sigmas."""
     usual = np.array([u.usual for u in unknowns])
     return (sigma <= DETERMINED * usual) | ((sigma <= TOLERATED * usual) & (np.abs(theta) > DISTINCT * sigma))
 
 
 def significance(problem: Problem, own: Scores, theta, total) -> tuple[float, float]:
-    """Gain and p, both with what the scores of blocks of time scatter more than the information says.
+    """Gain and p value, both corrected for the scatter of the scores of blocks of time beyond the expected one.
 
-    What the effect itself adds to a block is taken out first: a few blocks may hold all that the recording knows.
+    The part of the effect itself is subtracted first, as a few blocks may contain nearly all of its information.
     """
     gain, excess, mask = float(theta @ total), 1.0, problem.mask
     sensitivity, score = own.sensitivity[mask], own.score[mask]
@@ -185,10 +186,10 @@ def significance(problem: Problem, own: Scores, theta, total) -> tuple[float, fl
 
 
 def group(winner: Candidate, others: Sequence[Candidate], mask: np.ndarray) -> list[str]:
-    """Names of the candidates that the data cannot tell from `winner`, which comes first.
+    """Names of the candidates that the data do not distinguish from `winner`, which comes first.
 
-    With the other in the model, what the winner adds must be insignificant, or a tenth of what both explain; or the
-    sensitivities are nearly parallel: the other can stand for PARALLEL of what the winner does to the innovations.
+    These are candidates beside which the winner adds no significant gain, or less than a tenth of the gain of both; or
+    which explain PARALLEL of what the winner does to the innovations, as their sensitivities are nearly parallel.
     """
     names = [winner.name]
     for other in others:

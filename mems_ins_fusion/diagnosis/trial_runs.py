@@ -24,25 +24,21 @@ from .outliers import without_far_off
 from .problem import Problem, on_all_cores
 from .starts import Shown
 
-#: IMU samples filtered after which a search begins no further round: less than a minute on two cores, whatever the
-#: recording, and the same result on each machine
+#: number of IMU samples filtered for one recording, after which a search begins no further round: less than a minute on
+#: two cores. Counted in samples, not by the clock, so that each machine gives the same result
 ENOUGH = 9_000_000
-#: outages that decisions on effects are made on, about
+#: number of outages, about, in which errors are measured for a decision on an effect
 FEW_OUTAGES = 40
-#: s between two of them at least
-CLOSEST_OUTAGES = 10.0
-#: share of the usual time after which the search begins
-SEARCHING = 0.05
-#: the same of the choice of noise levels
-CHOOSING = 0.6
-#: the same of measuring errors
-MEASURING = 0.88
-#: the same of looking at what is left
-LOOKING = 0.95
-#: filters that are tried in the choice of noise levels, usually
+CLOSEST_OUTAGES = 10.0  # s, shortest time between the beginnings of two of these outages
+# progress that is shown (0 to 1) where a part of the work begins, from its usual duration:
+SEARCHING = 0.05  # the search for effects
+CHOOSING = 0.6  # the choice of noise levels
+MEASURING = 0.88  # the errors for the report
+LOOKING = 0.95  # what the effects leave unexplained
+#: usual number of filters in the choice of noise levels; only for the progress that is shown
 USUAL_CHOICES = 15
 
-#: what errors are measured for
+#: purposes for which errors are measured
 FOR_EFFECTS, FOR_LEVELS, REPORTED = 'decisions on effects', 'the choice of noise levels', 'the report'
 
 Progress = Callable[[float, str], None]
@@ -52,9 +48,10 @@ Progress = Callable[[float, str], None]
 class TrialRuns:
     """Trial runs of filters over the recordings: what errors they make.
 
-    recordings: with all fixes, as many as the problem has drives. offset_sigma: gnss.time_offset_sigma as given, which
-    the search does without. starts: sizes of effects, by name, from which they are fitted, too. beside: what the
-    recordings show without a filter. working: called between two steps of the work where there is nothing to tell.
+    recordings: with all fixes, one for each drive of `origin`. origin: the drives with the parameters as given.
+    offset_sigma: the given gnss.time_offset_sigma; the search runs with 0. starts: by effect, further sizes from which
+    it is fitted. beside: what the recordings show without a filter. tell: called with the progress (0 to 1) and what is
+    being done. working: called between two steps of the work without a change of the progress.
     """
 
     recordings: tuple[Recording, ...]
@@ -71,13 +68,13 @@ class TrialRuns:
 
     @cached_property
     def judging(self) -> tuple[Recording, ...]:
-        """The recordings for the truth: where that are the fixes, a fix that is far off is none."""
+        """The recordings that errors are measured against. Fixes that are far off are left out: they are no truth."""
         return tuple(replace(r, gnss=without_far_off(r.gnss)) for r in self.recordings)
 
     @cached_property
     def shown(self) -> dict[str, Estimate]:
-        """What the recordings show without a filter of parameters of effects, `effect.parameter`, beyond the parameters
-        as given."""
+        """Parameters of effects (`effect.parameter`) that the recordings show without a filter, beyond the given
+        parameters."""
         found = {} if self.turned is None else {'gyroscope_scale.z': self.turned}
         track = self.beside.track
         if track is not None and track.shown:
@@ -88,7 +85,7 @@ class TrialRuns:
 
     @property
     def _left(self) -> dict[str, Remaining]:
-        """What the parameters as given leave of each time offset that is shown, by its effect."""
+        """By effect: each time offset that the recordings show, minus the given one."""
         left = {f'{name}_time_offset': clock for name, clock in self.beside.clocks.items()}
         track = self.beside.track
         if track is not None and track.shown:
@@ -98,25 +95,27 @@ class TrialRuns:
 
     @property
     def certain(self) -> tuple[str, ...]:
-        """Time offsets that the recordings show for certain without a filter, beside the parameters as given: those of
-        several inputs together first."""
+        """Names of the effects of time offsets that the recordings show for certain without a filter, beyond the given
+        parameters; first the effect that sets those of several inputs together."""
         together = [effect.name for effect in self.library if isinstance(effect, SeveralTimeOffsets)]
         return (*together, *(name for name, left in self._left.items() if left.certain(SMALL_OFFSET, SURE)))
 
     def told(self, name: str, sizes: dict[str, Estimate]) -> dict[str, Estimate]:
-        """The `sizes` of an effect that is not added: what the recordings show for certain has one size everywhere."""
+        """The `sizes` to report of an effect that is not added: what the recordings show for certain is reported as
+        they show it, not as it was fitted."""
         return {n: self.shown.get(f'{name}.{n}', e) for n, e in sizes.items()} if name in self.certain else sizes
 
     def unset(self, added: Sequence[str]) -> tuple[str, ...]:
-        """The inputs besides the fixes whose clocks are off for certain and which none of the effects `added` sets."""
+        """Names of the inputs (not of the fixes) that certainly have a time offset which none of the effects `added`
+        sets."""
         several = {name for effect in self.library if isinstance(effect, SeveralTimeOffsets) and effect.name in added
                    for name in effect.known}
         return tuple(name for name in self.beside.late if name not in several and f'{name}_time_offset' not in added)
 
     @cached_property
     def turned(self) -> Estimate | None:
-        """By which part the gyroscopes turn further than the course of the fixes, beyond the scale in the parameters;
-        None where no turn tells."""
+        """Scale factor error of the vertical gyroscope: by which part it turns further than the course of the fixes.
+        None if a scale is configured, or without a turn that shows it."""
         up = -mounting(self.origin.given['imu.mounting_rpy'])[2]
         seen = [usable(recording) for recording in self.judging]
         found = [compare_steering(recording.imu, recording.gnss, up) for recording in seen if len(recording.gnss) > 1]
@@ -128,51 +127,52 @@ class TrialRuns:
 
     @property
     def without_standstills(self) -> dict[str, bool]:
-        """The parameter that leaves standstills out, where the parameters as given use them and a drive cannot tell
-        them from motion; else none."""
+        """Parameters that switch standstills off, if they are on and one of the drives does not distinguish them from
+        motion; else none."""
         name = 'vehicle.zero_velocity'
         used = self.origin.given[name] and not all(problem.values[name] for problem in self.origin.each)
         return {name: False} if used else {}
 
     @property
     def switches(self) -> tuple[str, ...]:
-        """The settings that are tried the other way round: noise from what samples scatter, as what a sensor filters
-        before it samples, and what swings about a mean, adds up to nothing; and standstills, where the parameters as
-        given do without, or a drive cannot tell them from motion."""
+        """Names of the boolean parameters that are also tried with the other value. `imu.adapt_noise`: the scatter of
+        samples overstates noise that a sensor has filtered, and vibration, which both integrate to nothing.
+        `vehicle.zero_velocity`: if it is off, or a drive does not distinguish standstills from motion."""
         doubtful = not all(problem.values['vehicle.zero_velocity'] for problem in self.origin.each)
         scatter = self.origin.given['mechanization'] == 'strapdown'
         return (*(['imu.adapt_noise'] if scatter else []), *(['vehicle.zero_velocity'] if doubtful else []))
 
     def enough(self, share: float = 1.0) -> bool:
-        """Whether this share of the work of a search is done."""
+        """Whether more than this share of the largest amount of work of a search is done."""
         return self.done > share
 
     @property
     def done(self) -> float:
-        """The share of the most that there may be to do that is done."""
+        """Work of the search so far, as a share of the largest amount (ENOUGH)."""
         return self.origin.work / (ENOUGH * len(self.recordings))
 
     def searching(self, what: str) -> None:
-        """Tell what is being done, now and after each batch of work."""
+        """Report `what` is being done and the progress, now and after each batch of work."""
         def tell():
             self.tell(SEARCHING + (CHOOSING - SEARCHING) * min(1.0, self.done), what)
         tell()
         self.origin.watched(tell)
 
     def errors(self, models: Sequence[dict], full: bool = False) -> Measured:
-        """Of one filter, or of those fitted to all parts but one, in these parts.
+        """Errors of one filter (one model), or of several, each in the part of the data that it was not fitted to.
 
-        full: as they drive, by the protocol that is reported; else for decisions on effects. These look at the
-        covariance as the model has it: scaled by what innovations show, it would hold the truth whatever the model
-        lacks; and the samples are means, between which a motion is not smooth enough to tell noise from it. Standstills
-        that cannot be told from motion keep positions near whatever is right or wrong else.
+        full: with all that a driving filter adapts, in the outages of the report. Else for decisions on effects:
+        without `gnss.adapt_covariance`, as a covariance that follows the innovations holds the truth whatever effect
+        the model lacks; without `imu.adapt_noise`, as these samples are means over an interval, whose differences show
+        motion more than noise; and without standstills that are not distinguished from motion, as they hold the
+        position in place also if the rest of the model is wrong.
         """
         decides = {} if full else {'gnss.adapt_covariance': False, 'imu.adapt_noise': False, **self.without_standstills}
         return self._kept([{**values, **decides} for values in models], REPORTED if full else FOR_EFFECTS)
 
     def each(self, configurations: Sequence[dict]) -> list[Measured]:
-        """Of several filters as they drive, for the choice of noise levels: a filter that adapts to nothing asks for
-        levels that one that does has no use for."""
+        """Errors of each of several filters, for the choice of noise levels: with all that a driving filter adapts, as
+        a filter that does not adapt needs other levels."""
         found = on_all_cores(lambda values: self._kept([values], FOR_LEVELS), configurations)
         count = len(self.measured)
         self.tell(CHOOSING + (MEASURING - CHOOSING) * count / (count + USUAL_CHOICES), 'choosing noise levels')
@@ -198,11 +198,12 @@ class TrialRuns:
         return together(found)
 
     def _between(self, problem: Problem, use: str) -> float:
-        """s between outages. Noise levels are chosen in as many as are reported, as a long drive tells more of them."""
+        """s between the beginnings of outages. For noise levels there are as many outages as in the report: a longer
+        drive shows the levels better."""
         few = max(CLOSEST_OUTAGES, float(np.ptp(problem.stamp[problem.mask])) * 1e-9 / FEW_OUTAGES)
         return {FOR_EFFECTS: few, FOR_LEVELS: min(few, max(CLOSEST_OUTAGES, self.spacing)), REPORTED: self.spacing}[use]
 
 
 def fitting(durations: Sequence[float], problem: Problem) -> tuple[float, ...]:
-    """The durations of outages, s, of which a drive holds enough."""
+    """The `durations` of outages, s, that are short enough for the drive."""
     return tuple(d for d in durations if d < 0.3 * (problem.stamp[-1] - problem.stamp[0]) * 1e-9)

@@ -1,7 +1,7 @@
-"""What no effect of the library explains: where such an error would act, and what it goes with.
+"""Errors that no effect of the library explains: in which measurement they are, and with what they are correlated.
 
-Errors of one sensor or of the position that follow a quantity known from the drive are tested like effects, by their
-scores; but nothing is added for them, as only somebody who knows the vehicle can say what they are.
+Errors of a sensor or of the position in proportion to a known quantity of the drive are tested like effects, by score
+tests. They are only reported, not corrected: their cause has to be found on the vehicle.
 """
 from __future__ import annotations
 
@@ -19,19 +19,17 @@ from .problem import Problem, Unknown
 from .residuals import Residual
 from .tracing import SIGNIFICANCE, efficient, significance
 
-#: rotations and specific forces are averaged over about this long before they are squared or multiplied, s
-SMOOTH = 0.2
-#: m/s^2; root mean square of an error of the accelerometers that is tried, for the derivative
-FORCE_STEP = 0.01
-#: rad/s; the same of the gyroscopes
-RATE_STEP = 2e-4
-#: m; the same of the fixes
-POSITION_STEP = 0.05
+SMOOTH = 0.2  # s over which angular rate and specific force are averaged before they are squared
+# root mean squares of errors, as steps for finite differences:
+FORCE_STEP = 0.01  # m/s^2, of an accelerometer
+RATE_STEP = 2e-4  # rad/s, of a gyroscope
+POSITION_STEP = 0.05  # m, of fixes
 
 
 @dataclass(frozen=True)
 class GoesWith:
-    """An error of `where` in proportion to `what`: its RMS with sign, sigma, gain of the score test and p."""
+    """An error of the measurement `where` in proportion to the quantity `what`. rms: with the sign of the proportion.
+    sigma: of rms. gain, p: of the score test."""
 
     where: str
     what: str
@@ -43,7 +41,8 @@ class GoesWith:
 
 
 def goes_with(problem: Problem, nuisance: Scores, at: Residual) -> list[GoesWith]:
-    """Errors that the innovations `at` still show, the plainest first; problem: at the model that gave them."""
+    """Significant errors in the innovations `at`, the largest gain first. problem: at the model of these innovations.
+    nuisance: scores of the unknowns of that model."""
     tests = _tests(problem, *regressors(problem))
     unknowns = [unknown for *_, unknown in tests]
     _, found = scores(problem, unknowns, np.zeros(len(unknowns)), at)
@@ -63,7 +62,7 @@ def goes_with(problem: Problem, nuisance: Scores, at: Residual) -> list[GoesWith
 
 
 def regressors(problem: Problem) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """What an error may go with, in SI units: at the IMU samples, and at the fixes."""
+    """Quantities that an error may be proportional to, in SI units, by name: at the IMU samples, and at the fixes."""
     imu, gnss, values = problem.recording.imu, problem.recording.gnss, problem.values
     result = problem.filtered(values, problem.recording)
     to_body = mounting(values['imu.mounting_rpy']).T
