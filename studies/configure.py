@@ -1,6 +1,6 @@
 """How well `configure` finds mountings: simulated short drives, and measured recordings turned in every way.
 
-    python studies/configure.py drives RESULTS.csv [--drives 100] [--first 0] [--any-fixes] [--diagnose]
+    python studies/configure.py drives RESULTS.csv [--drives 100] [--first 0] [--any-fixes] [--diagnose] [--second]
     python studies/configure.py slow --drives 12 --first 7701
     python studies/configure.py simulated [--drives 100]
     python studies/configure.py measured DATA
@@ -9,7 +9,8 @@
 drives: cars on roads, receivers that smooth, rovers at walking speed, phones of 10 Hz whose samples alias; offsets,
 arms and mountings drawn at random: what `configure` writes, and with --diagnose what `diagnose` makes of it, and of the
 mounting by hand; each against the truth. A line of RESULTS.csv each; those that are there are not run again. With
---any-fixes receivers of 0.2, 1, 5 and 10 Hz in turn, each second one with gaps of some seconds.
+--any-fixes receivers of 0.2, 1, 5 and 10 Hz in turn, each second one with gaps of some seconds. With --second the file
+of `configure`, and one by hand, on a second drive of the same vehicle, with other biases: errors against the truth.
 slow: robots at 0.4 m/s that turn on the spot, with twelve receivers, on level ground and with everything that
 `simulate --drive realistic` has: what is said of the mounting after some minutes, as the live node looks at it.
 simulated: two minutes with a standstill, one right-angled turn and one stop, on hilly roads, in cars with suspension,
@@ -28,6 +29,8 @@ from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
+from diagnosis_on_roads import SECOND_DRIVE, TRUTH, errors
+from diagnosis_on_roads import measured as measured_errors
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.configuration.check import judge_mounting
@@ -125,6 +128,8 @@ PARTS = 'error', 'sigma'
 #: columns of what a diagnosis sets or only tells, of its answer, and of the mean of the largest error in outages, m
 SETTINGS = tuple(f'{name}_set' for name in ('gnss.time_offset', 'gnss.lever_arm', 'imu.mounting_rpy'))
 DIAGNOSED = ('answer', *SETTINGS, *(f'{when}_{s}' for when in ('before', 'after') for s in (10, 30, 60)))
+#: RMS with all fixes, and mean largest error in 10, 30 and 60 s without, m; NaN where the filter never starts
+SECOND = tuple(f'second_{what}_{way}' for way in ('configure', 'by_hand') for what in ('fixes', 10, 30, 60))
 KINDS = ('car', 'car, RTK', 'car, smoothing', 'rover', 'phone')
 #: receivers of the rovers
 ROVER_FIXES = GnssNoise(0.02, 5.0), GnssNoise(0.3, 1.0)
@@ -145,16 +150,19 @@ class Case:
     arm: np.ndarray
 
 
-def case(number: int, upright: bool = False, duration: float = 600.0, any_fixes: bool = False) -> Case:
+def case(number: int, upright: bool = False, duration: float = 600.0, any_fixes: bool = False,
+         second: bool = False) -> Case:
     """upright: the IMU sits about as its axes say, off by some degrees; else anyhow. duration: s, at most. any_fixes:
-    receivers of ANY_RATE, each second one with gaps, instead of the kind's own rate."""
+    receivers of ANY_RATE, each second one with gaps, instead of the kind's own rate. second: another drive of this
+    vehicle, with the truth."""
+    seed = number + SECOND_DRIVE * second
     kind, draw = KINDS[number % len(KINDS)], stream(number, 'estimator')
     offset = float(draw.uniform(-LARGEST_OFFSET, LARGEST_OFFSET))
     arm = np.array([draw.uniform(-1.5, 1.5), draw.uniform(-0.5, 0.5), draw.uniform(0.2, 1.5)])
     rotation = (Rotation.from_euler('xyz', stream(number, 'upright').uniform(-UPRIGHT, UPRIGHT, 3), degrees=True)
                 if upright else Rotation.random(random_state=number)).as_matrix()
     sensors = SensorErrors.from_parameters(table.check({} if kind == 'phone' else REALISTIC.imu), 'gauss_markov')
-    vibration = REALISTIC.distortions(number)['vibration']
+    vibration = REALISTIC.distortions(seed)['vibration']
     receiver = {'car': GnssNoise(1.5, 1.0), 'car, RTK': GnssNoise(0.02, 5.0),
                 'car, smoothing': GnssNoise(1.5, 1.0, smoothing=float(draw.uniform(0.6, 1.5)), coloured_sigma=1.0,
                                             outliers=0.01),
@@ -165,17 +173,18 @@ def case(number: int, upright: bool = False, duration: float = 600.0, any_fixes:
         receiver = replace(receiver, rate=ANY_RATE[turn % len(ANY_RATE)],
                            dropouts=GAPS * (turn // len(ANY_RATE) % 2))
     if kind == 'rover':
-        motion, vibration, arm = rover(number, min(duration, 400.0)), None, 0.3 * arm
+        motion, vibration, arm = rover(seed, min(duration, 400.0)), None, 0.3 * arm
     else:
         seconds = min(duration, 400.0 if kind == 'car, RTK' else 600.0)
-        motion = replace(REALISTIC, mounting_error=0.0).drive(seconds, number)
+        motion = replace(REALISTIC, mounting_error=0.0).drive(seconds, seed)
     effects = [(EFFECTS['gnss_time_offset'], {'time_offset': offset}),
                (EFFECTS['gnss_lever_arm'], dict(zip('xyz', arm.tolist())))]
-    made = simulate_recording(motion, sensors, receiver, effects, rpy(rotation), number, vibration=vibration,
+    made = simulate_recording(motion, sensors, receiver, effects, rpy(rotation), seed, vibration=vibration,
                               name=f'drive {number}').recording
     if kind == 'phone':  # each tenth sample as it is: what shakes faster than 5 Hz aliases
         made = replace(made, imu=made.imu.select(slice(0, None, 10)))
-    return Case(kind, replace(made, reference=None, speed=None, velocity=None, heading=None), offset, rotation, arm)
+    made = replace(made, reference=made.reference if second else None, speed=None, velocity=None, heading=None)
+    return Case(kind, made, offset, rotation, arm)
 
 
 def rover(seed: int, duration: float = 400.0):
@@ -205,7 +214,7 @@ def rover(seed: int, duration: float = 400.0):
 
 def one_case(task) -> list[dict]:
     """What `configure` says of a drive, and `diagnose` after it and by hand; a row each."""
-    number, diagnosed, any_fixes = task
+    number, diagnosed, any_fixes, second = task
     of = case(number, any_fixes=any_fixes)
     imu, fixes = of.recording.imu, of.recording.gnss
     topics = Topics(*((Candidate(topic, len(samples), 1.0, 0.0, 1.0, False, samples),)
@@ -219,6 +228,10 @@ def one_case(task) -> list[dict]:
                 arm=offset.arm - of.arm if shown else np.full(3, np.nan),
                 arm_sigma=offset.arm_sigma if shown else np.full(3, np.nan))]
     by_hand = table.check({'imu.mounting_rpy': np.radians(np.round(np.degrees(rpy(of.rotation)))).tolist()})
+    if second:
+        other = case(number, any_fixes=any_fixes, second=True).recording
+        rows[0] |= dict(zip(SECOND, (error for values in (found.values, by_hand) for error in measured_errors(
+            errors(table.check({**values, **TRUTH}), other)))))
     for way, values in (('configure, diagnose', table.check(found.values)), ('by hand, diagnose', by_hand)):
         if not diagnosed:
             continue
@@ -266,18 +279,20 @@ def row(of: Case, number, way, values, lag, lag_sigma, sigmas=(np.nan,) * 3, rea
             **{f'arm_{name}_sigma': sigma for name, sigma in zip('xyz', arm_sigma)}}
 
 
-def drives(path: Path, count: int, first: int, diagnosed: bool, any_fixes: bool, processes: int):
+def drives(path: Path, count: int, first: int, diagnosed: bool, any_fixes: bool, second: bool, processes: int):
     there = list(csv.DictReader(path.open())) if path.exists() else []
     known = {int(line['number']) for line in there}
-    tasks = [(number, diagnosed, any_fixes) for number in range(first, first + count) if number not in known]
+    tasks = [(number, diagnosed, any_fixes, second) for number in range(first, first + count) if number not in known]
     with ProcessPoolExecutor(processes) as pool, path.open('a', newline='') as file:
         for rows in pool.map(one_case, tasks):
-            writer = csv.DictWriter(file, [*rows[0], *DIAGNOSED], restval='')
+            writer = csv.DictWriter(file, dict.fromkeys((*rows[0], *DIAGNOSED, *SECOND)), restval='')
             if file.tell() == 0:
                 writer.writeheader()
             writer.writerows(rows)
             file.flush()
-    summary(list(csv.DictReader(path.open())))
+    rows = list(csv.DictReader(path.open()))
+    summary(rows)
+    second_drives(rows)
 
 
 def summary(rows: list[dict]):
@@ -297,6 +312,19 @@ def summary(rows: list[dict]):
                   f"{held(*(np.stack([number[f'arm_{axis}_{part}'] for axis in 'xyz']) for part in PARTS))} | "
                   f"{np.median(np.abs(number['set_error'])):.3f} | {np.abs(number['set_error']).max():.2f} | "
                   f'{ready.sum()} | {(ready & off).sum()} |')
+
+
+def second_drives(rows: list[dict]):
+    """Files on the second drive of the same vehicle: how many filters started, and their errors."""
+    there = [row for row in rows if row.get(SECOND[0])]
+    for kind in (*KINDS, 'all') if there else ():
+        chosen = np.array([[float(row[name]) for name in SECOND] for row in there if kind in (row['kind'], 'all')])
+        if not len(chosen):
+            continue
+        for way, found in zip(('configure', 'by hand'), np.split(chosen, 2, axis=1)):
+            started = np.isfinite(found[:, 0])
+            medians = ' | '.join(f'{np.nanmedian(e):.2f}' if np.isfinite(e).any() else '-' for e in found.T)
+            print(f'| {way} | {kind} | {len(found)} | {(~started).sum()} | {medians} |')
 
 
 def held(error, sigma) -> str:
@@ -427,11 +455,13 @@ def main():
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--diagnose', action='store_true')
     parser.add_argument('--any-fixes', action='store_true')
+    parser.add_argument('--second', action='store_true')
     parser.add_argument('--processes', type=int, default=2)
     parser.add_argument('--drives', type=int, default=100)
     options = parser.parse_args()
     if options.what == 'drives':
-        drives(options.data, options.drives, options.first, options.diagnose, options.any_fixes, options.processes)
+        drives(options.data, options.drives, options.first, options.diagnose, options.any_fixes, options.second,
+               options.processes)
     elif options.what == 'slow':
         slow(options.drives, options.first, options.processes)
     elif options.what == 'simulated':

@@ -91,5 +91,9 @@ def check_page(browser: Browser, path) -> None:
         browser.open(path, width, media)
         wide = browser.too_wide()
         assert not wide, f'{width} px, {media}: {wide[:5]}'
+        # figures for phones are too tall for a sheet
+        both = browser.run("""return [...document.querySelectorAll('img.narrow')].map(
+            e => [e.offsetParent !== null, e.previousElementSibling.offsetParent !== null])""")
+        assert not any(shown[int(width == 400)] for shown in both)
     fetched = browser.run("return performance.getEntriesByType('resource').map(e => e.name)")
     assert all(name.startswith('data:') for name in fetched)

@@ -377,6 +377,22 @@ def test_gyroscopes_in_degrees_are_seen_at_rest(template):
         assert "at rest" in texts(result.notices)[-1] and "set imu.rate_unit to 'deg/s'" in texts(result.notices)[-1]
 
 
+@pytest.mark.parametrize('axis', [0, 2])
+def test_a_bias_larger_than_the_scatter_at_rest_is_no_turn(template, axis):
+    # given a file that configure wrote from one drive, with the scatter of quiet gyroscopes, and the bias of the next
+    bias = 0.015 * np.eye(3)[axis]
+    drive = driven(template, [STAND, GO, Segment(20.0)])
+    sensors = SensorErrors(gyroscope_bias=bias, gyroscope_noise_density=[1e-4] * 3,
+                           accelerometer_noise_density=[0.01] * 3)
+    recording = simulate_recording(drive, sensors, GnssNoise(1.0, 1.0), seed=1).recording
+    for mechanization in ('planar', 'strapdown'):
+        config = configure({'vehicle.still_rate': 0.006}, mechanization=mechanization)
+        result = run(config, recording.imu, recording.gnss)
+        # then it starts, and knows the bias from the standstill
+        assert result.start is not None and result.start.standstill is not None
+        np.testing.assert_allclose(result.start.standstill.angular_rate, bias * [1.0, -1.0, -1.0], atol=1e-4)
+
+
 @pytest.mark.parametrize('rate', [lambda t: 0.02 * np.sin(2 * np.pi * t / 40.0), lambda t: np.full(len(t), 0.1)],
                          ids=['swings', 'turns'])
 def test_who_turns_at_his_place_is_not_at_rest(template, rate):

@@ -211,6 +211,13 @@ def test_what_the_parameters_say_is_not_said_again(sound):
     assert all([f for f in right if text in f.message] for text in ('at rest: a large bias', 'wrong scale'))
 
 
+def test_a_unit_that_the_params_file_has_wrong_names_its_parameter(sound):
+    in_degrees = with_imu(sound, angular_rate=np.degrees(sound.imu.angular_rate))
+    assert finding(in_degrees, 'they seem to be in deg/s', ERROR).settings == ('imu.rate_unit',)
+    in_g = with_imu(sound, specific_force=sound.imu.specific_force / 9.80665)
+    assert finding(in_g, 'seem to be in g instead', ERROR).settings == ('imu.acceleration_unit',)
+
+
 def test_a_gyroscope_bias_too_large_to_be_one(sound):
     assert finding(with_imu(sound, angular_rate=sound.imu.angular_rate + (0, 0.2, 0)), 'at rest: a large bias')
 

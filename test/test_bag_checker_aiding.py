@@ -79,7 +79,7 @@ def test_a_speed_that_is_wrong(sound):
 def test_a_factor_of_the_speed_is_named_until_the_params_file_has_it(sound, factor):
     wrong = altered(sound, 'speed', speed=factor * sound.speed.speed, variance=factor**2 * sound.speed.variance)
     found = [f for f in findings(wrong, WARNING) + findings(wrong, ERROR) if 'speed.factor' in f.message]
-    assert len(found) == 1
+    assert len(found) == 1 and found[0].settings == ('speed.factor',)
     told = float(found[0].message.split('set speed.factor to ')[1])
     assert told == pytest.approx(1.0 / factor, rel=0.05)
     # when it is declared, nothing is left to say, nor where a constant scale error is
@@ -90,7 +90,9 @@ def test_a_factor_of_the_speed_is_named_until_the_params_file_has_it(sound, fact
 
 def test_a_heading_that_is_turned_is_named_until_the_params_file_has_it(sound):
     turned = altered(sound, 'heading', yaw=wrap(sound.heading.yaw + 2.0))
-    told = float(the_one(turned, ERROR).message.split('set heading.offset to ')[1])
+    wrong = the_one(turned, ERROR)
+    assert wrong.settings == ('heading.offset',)
+    told = float(wrong.message.split('set heading.offset to ')[1])
     assert told == pytest.approx(2.0, abs=0.03)
     assert not [f for f in check_recording(turned, {'heading.offset': told})
                 if f.topic == 'heading' and f.severity != INFO]

@@ -3,6 +3,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from browser_support import check_page
 
 from mems_ins_fusion.reports import html
 from mems_ins_fusion.reports.settings import settings_table
@@ -131,3 +132,16 @@ def test_on_a_phone_no_legend_covers_the_lines_of_a_small_panel(columns, below):
     assert (panels[0].get_legend() is None) == below == bool(figure.legends)
     for legend in figure.legends:
         assert [text.get_text() for text in legend.get_texts()] == ['random walk', 'Gauss-Markov']
+
+
+def test_a_phone_shows_figures_for_phones_and_paper_does_not(browser, tmp_path):
+    figure = html.empty_figure(11, 4)
+    for axes in figure.subplots(1, 3):
+        axes.plot([0, 1], [0, 1])
+    page = tmp_path / 'page.html'
+    page.write_text(html.page('Title', [html.section('Part', html.figure(figure, 'three panels'))]))
+    assert page.read_text().count('<img') == 2
+    check_page(browser, page)
+    browser.open(page, 400)
+    shown = browser.run("return [...document.images].filter(e => e.offsetParent !== null).map(e => e.className)")
+    assert shown == ['narrow']

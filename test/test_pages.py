@@ -8,6 +8,7 @@ import re
 import shlex
 import shutil
 import time as clock
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -160,8 +161,13 @@ def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
     assert f'/imu/data: 9.8 is not {STANDARD_GRAVITY}' in answer.wrong
     assert '/imu/data and /gps/fix: the clocks differ' in answer.wrong
     assert not any('all is well' in text for text in answer.wrong)
-    # diagnose refuses what is certainly wrong: what to type is configure
+    # what sigmas are worth on wrong data is not said
+    assert not answer.trust
+    # diagnose refuses what is certainly wrong: what to do is configure where a parameter cures it, and else to record
     step, = answer.steps
+    assert step.what.startswith('Cure this where the messages come from') and not step.command
+    found[0] = replace(found[0], settings=('imu.acceleration_unit',))
+    step, = replay_answer.answer(comparison, found, values, 'drive', 'p.yaml').steps
     assert step.command == 'python -m mems_ins_fusion configure --bag drive --output configured.yaml'
 
 

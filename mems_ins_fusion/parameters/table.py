@@ -144,8 +144,7 @@ FILTER = (
               positive=True, maximum=100.0),
     Parameter('vehicle.still_acceleration', 0.3, 'm/s^2', 'Before the start, the accelerometers are at rest when the '
               'standard deviation of each axis is smaller.', positive=True, maximum=100.0),
-    Parameter('vehicle.still_rate', 0.05, 'rad/s', 'The same for the gyroscopes; the mean of each axis has to be '
-              'smaller as well.', positive=True, maximum=100.0),
+    Parameter('vehicle.still_rate', 0.05, 'rad/s', 'The same for the gyroscopes.', positive=True, maximum=100.0),
     Parameter('vehicle.learn_drift', True, '-', 'Learn the process noise of the biases of accelerometers and '
               'gyroscopes, as a multiple of that in their sensor error model, and the noise of the accelerometers that '
               'the fixes show beyond it (strapdown; not AR).'),

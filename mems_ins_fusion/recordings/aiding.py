@@ -105,33 +105,36 @@ def check_aiding(measurement: Measurement, samples, fixes: Fixes | None, setting
         return []
     declared = measurement.declared(settings, samples)
     findings = [replace(finding, topic=measurement.name) for finding in _CHECKS[kind](declared, fixes)]
-    advice = _advice(measurement, findings, declared, settings)
+    parameter, advice = _advice(measurement, findings, declared, settings)
     for k, finding in enumerate(findings):
         if advice and finding.severity != INFO and COMPARED & finding.values.keys():
-            findings[k] = replace(finding, message=f'{finding.message}: {advice}')
+            findings[k] = replace(finding, message=f'{finding.message}: {advice}',
+                                  settings=(f'{measurement.name}.{parameter}',) if parameter else ())
             break
     return findings
 
 
-def _advice(measurement: Measurement, findings: list[Finding], declared, settings: SensorSettings) -> str:
-    """Advice which parameter to set; '' where none helps."""
+def _advice(measurement: Measurement, findings: list[Finding], declared, settings: SensorSettings) -> tuple[str, str]:
+    """Which parameter to set, factor or offset, and the advice in words; each '' where none helps."""
     name = NAMES[measurement.kind]
     shown = {key: value for finding in findings for key, value in finding.values.items()}
     if name in ('speed', 'twist') and 'ratio' in shown:
         if not shown['ratio'] or np.nanmax(np.abs(forwards(declared).speed)) < _ZERO:
-            return f'it stays at zero while the vehicle drives; leave {measurement.topic} empty until its sensor works'
+            return '', ('it stays at zero while the vehicle drives; '
+                        f'leave {measurement.topic} empty until its sensor works')
         sign = -1.0 if 'negative' in shown else 1.0
-        return f"set {measurement.name}.factor to {sign * settings.factor / shown['ratio']:.5g}"
+        return 'factor', f"set {measurement.name}.factor to {sign * settings.factor / shown['ratio']:.5g}"
     if name == 'pressure' and 'ratio' in shown:
         middle = shown['ratio'] * SEA_LEVEL
         per = next((per for per in PRESSURES.values() if LOWEST <= middle * per <= HIGHEST), None)
-        return f'set {measurement.name}.factor to {settings.factor * per:g}' if per else ''
+        return ('factor', f'set {measurement.name}.factor to {settings.factor * per:g}') if per else ('', '')
     if name == 'magnetometer' and 'ratio' in shown:
         per = _field_unit(shown['ratio'] * _EARTH)
-        return f'set {measurement.name}.factor to {settings.factor * FIELDS[per]:g}' if per else ''
+        return ('factor', f'set {measurement.name}.factor to {settings.factor * FIELDS[per]:g}') if per else ('', '')
     if name == 'heading' and 'offset_rad' in shown:
-        return f"set {measurement.name}.offset to {float(wrap(settings.offset + shown['offset_rad'])):.4f}"
-    return ''
+        turned = float(wrap(settings.offset + shown['offset_rad']))
+        return 'offset', f'set {measurement.name}.offset to {turned:.4f}'
+    return '', ''
 
 
 def check_speed(speeds: Speeds, fixes: Fixes | None) -> Iterator[Finding]:

@@ -231,7 +231,7 @@ def _check_gravity(imu, still, expected, units: Units, declared, values):
     text = f'the specific force is {magnitude:.4g} m/s^2 {where}, gravity there is {expected:.4g} m/s^2'
     if units.gravity and units.acceleration != declared:
         yield Finding(ERROR, 'imu', f'{text}: the accelerometers seem to be in {units.acceleration} instead of '
-                      f'{declared} (see imu.acceleration_unit)', seen)
+                      f'{declared} (see imu.acceleration_unit)', seen, ('imu.acceleration_unit',))
     elif units.gravity:
         doubtful = abs(magnitude - expected) > 0.3
         text += ': a large bias or scale error' if doubtful else ''
@@ -314,7 +314,7 @@ def _check_turns(units: Units, declared: str):
     text = f'the gyroscopes turn through {turned:#.3g} times the angle of the course'
     if units.rate != declared:
         yield Finding(ERROR, 'imu', f'{text}: they seem to be in {units.rate} instead of {declared} (see '
-                      'imu.rate_unit)', values)
+                      'imu.rate_unit)', values, ('imu.rate_unit',))
     elif units.steering.scale < 0:
         yield Finding(ERROR, 'imu', f'{text}: their sign does not fit the accelerometers; the axes are mirrored (not '
                       'right-handed), or the specific force has the wrong sign', values)

@@ -15,7 +15,7 @@ from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked
 from ..recordings.findings import checked_text
-from .answer import BAD, GOOD, WARNING, YOURS, Answer, Step, let_configure, topics_of
+from .answer import BAD, GOOD, WARNING, YOURS, Answer, Step, cure, let_configure, topics_of
 from .diagnosis import capital, changed, cost, rounded_value, this, unexplained_text
 from .effect_words import check, looks_the_same, size, what
 from .verdict import because, change_text, trust_text
@@ -65,9 +65,7 @@ def not_usable(found: list[Checked], values: dict, bags: Sequence[str]) -> tuple
     """
     said = [checked_text(f, topics_of(values)) for f in found]
     verdict = Verdict(NOT_USABLE, why=tuple(said))
-    step = let_configure(bags) if any(f.settings for f in found) else Step(
-        'Cure this where the messages come from, and record again.')
-    return verdict, Answer(BAD, headline(verdict), said, [], [step])
+    return verdict, Answer(BAD, headline(verdict), said, [], [cure(found, bags)])
 
 
 def found_text(f: Finding, d: Diagnosis) -> str:

@@ -123,9 +123,10 @@ def figure(drawing, caption: str = '', narrow: bytes = b'') -> Html:
     data = drawing if isinstance(drawing, bytes) else image_bytes(drawing)
     label = f'<figcaption>{_text(caption)}</figcaption>' if caption else ''
     small = narrow if narrow or isinstance(drawing, bytes) else narrow_bytes(drawing)
-    phone = f'<source media="(max-width: 40rem)" srcset="{_png_url(small)}">' if small else ''
     image = f'<img src="{_png_url(data)}" alt="{_text(caption)}">'
-    return Html(f'<figure><picture>{phone}{image}</picture>{label}</figure>')
+    # two images and not two sources of a picture: what a phone has chosen by its width, it prints, too
+    phone = f'<img class="narrow" src="{_png_url(small)}" alt="{_text(caption)}">' if small else ''
+    return Html(f'<figure>{image}{phone}{label}</figure>')
 
 
 def _png_url(data: bytes) -> str:

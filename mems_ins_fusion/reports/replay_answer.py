@@ -24,7 +24,7 @@ from ..evaluation.verdict import (
 from ..recordings.checker import INFO, Finding
 from ..recordings.findings import checked_text
 from ..recordings.sketch import fitted_to
-from .answer import BAD, GOOD, WARNING, Answer, Step, let_configure, topics_of
+from .answer import BAD, GOOD, WARNING, Answer, Step, cure, let_configure, topics_of
 from .html import number
 from .replay_figures import model_name
 from .verdict import certainly_wrong, change_text, too_small_text, trust_text
@@ -97,11 +97,14 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
         wrong.insert(0, 'The parameters were fitted to this very recording: on another drive errors will be larger.')
     grade = _grade(verdict, trust)
     accuracy = _accuracy(comparison, best, values['fixes_until'])
-    steps = [] if verdict.answer == NOT_USABLE else _steps(grade, comparison, best, values, bag, params_file)
-    if verdict.answer == NOT_USABLE or any(f.settings for f in told) and not verdict.fitted_here:
+    costs = [*accuracy, *_cost(outages)]
+    if verdict.answer == NOT_USABLE:  # what sigmas are worth on wrong data is no answer
+        return Answer(grade, _headline(verdict, trust, accuracy), wrong, costs,
+                      [cure(certainly_wrong(findings, values), [bag])])
+    steps = _steps(grade, comparison, best, values, bag, params_file)
+    if any(f.settings for f in told) and not verdict.fitted_here:
         steps.insert(0, let_configure([bag]))
-    return Answer(grade, _headline(verdict, trust, accuracy), wrong, [*accuracy, *_cost(outages)], steps,
-                  trust_text(trust))
+    return Answer(grade, _headline(verdict, trust, accuracy), wrong, costs, steps, trust_text(trust))
 
 
 def _grade(verdict: Verdict, trust: Trust) -> str:

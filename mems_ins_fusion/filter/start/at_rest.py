@@ -18,6 +18,11 @@ SHORTEST_STILL = 3.0  # s, shortest standstill
 #: m/s^2, largest difference of the mean of a block from the median of all blocks of a standstill
 STEADY_ACCELERATION = 0.06
 STEADY_RATE = 0.005  # rad/s, the same of the angular rate
+#: rad/s, largest mean of an axis of the gyroscopes at rest: bias and not a turn, nor deg/s taken for rad/s. Biases of
+#: cheap ones stay below; how much samples scatter says nothing of it, and the next start has another bias
+LARGEST_BIAS = 0.05
+#: the same in standard deviations of the bias, where the parameters state larger biases
+BIAS_SIGMAS = 5.0
 #: number of blocks needed to decide whether a turn rate oscillates, as of a boat: fewer may be the first of a drive
 FEWEST_BLOCKS = 10
 #: m/s, largest drift of the fixes of a vehicle at rest. A vehicle that moves more slowly, and as smoothly as one at
@@ -50,7 +55,7 @@ def latest_standstill(imu: np.ndarray, positions: np.ndarray, config: FilterConf
         duration = imu[end - 1, 0] - imu[begin, 0]
         if duration >= SHORTEST_STILL and _stays(positions, imu[begin, 0], imu[end - 1, 0]):
             means = imu[begin:end, 1:7].mean(axis=0)
-            turns = np.abs(means[3:]).max() > config.vehicle.still_rate
+            turns = np.abs(means[3:]).max() > _largest_bias(config)
             return None if turns else Standstill(imu[end - 1, 0], duration, means[:3], means[3:])
     return None
 
@@ -74,9 +79,14 @@ def tumbling_rate(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) 
     for first, last in runs((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration) & (length > 2)):
         begin, end = imu[starts[first], 0], imu[ends[last - 1] - 1, 0]
         rate = float(np.abs(mean[first:last, 3:5].mean(axis=0)).max())
-        if rate > config.vehicle.still_rate and end - begin >= SHORTEST_STILL and _stays(positions, begin, end):
+        if rate > _largest_bias(config) and end - begin >= SHORTEST_STILL and _stays(positions, begin, end):
             return rate
     return 0.0
+
+
+def _largest_bias(config: FilterConfig) -> float:
+    """Mean of an axis of the gyroscopes at rest, rad/s, above which it is no bias."""
+    return max(LARGEST_BIAS, BIAS_SIGMAS * config.alignment.gyroscope_turn_on)
 
 
 def _swings(rate: np.ndarray) -> bool:
