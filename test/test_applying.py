@@ -413,7 +413,7 @@ def test_the_filter_beside_takes_over_at_once_where_a_finding_is_taken_back(late
     # given fixes that are late, a filter with a finding that they are not, one beside it without, and a diagnosis that
     # takes the finding back after 100 s
     monkeypatch.setattr(changing, 'DROPPED', math.inf)
-    begin, last = 100 * 20, 102 * 20
+    begin, last = 100 * 20 + 1, 102 * 20  # nearly a second and two fixes before filters are compared
     right = {**APPLY, 'gnss.time_offset': OFFSET}
     fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
     fusion.watch({NAME: right})
