@@ -415,10 +415,13 @@ def test_the_filter_beside_takes_over_at_once_where_a_finding_is_taken_back(late
     monkeypatch.setattr(changing, 'DROPPED', math.inf)
     begin, last = 100 * 20 + 1, 102 * 20  # nearly a second and two fixes before filters are compared
     right = {**APPLY, 'gnss.time_offset': OFFSET}
-    fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
+    fusion, running = changing.ChangingFilter(FilterConfig.from_parameters(APPLY)), []
     fusion.watch({NAME: right})
-    fed(fusion, late, 0, last, {begin: lambda: fusion.change(right)})
-    # then that one goes on, which has run for long, with the bits of a filter that never had the finding
+    fed(fusion, late, 0, last, {begin: lambda: fusion.change(right),
+                                begin + 1: lambda: running.extend(fusion._running)})
+    # then that one goes on, which has run for long and gets each sample once, with the bits of a filter that never had
+    # the finding
+    assert len(running) == 1
     handover, = fusion.handovers
     assert handover.stamp - late.imu.stamp[begin] <= 1.1 * SECOND and not fusion._running
     own = FusionFilter(FilterConfig.from_parameters(right))
