@@ -1,26 +1,33 @@
 """What the diagnosis while driving applies where there is nothing to be found: chance, and faults.
 
     python studies/online_chance.py [--hours 10] [--minutes 60] [--processes 1] [--find] [--share 0.1]
-                                    [--receivers "1.5 m" RTK]
+                                    [--receivers "1.5 m" RTK] [--rate 1] [--each-fault] [--apart 300]
+                                    [--faults ahead,late]
 
 Realistic drives (studies/vehicle.py) with the receivers 1.5 m, RTK, city, smoothing in turn, every second one with a
 fault of studies/faults.py each five minutes. Each minute the look without a filter, as always; in the place of the
 analyses, at the times of these, findings that are wrong: a time offset, an antenna's arm, a scale of the gyroscope of
 z, a mounting, each of a size that an analysis would find. So a drive has many times as many trials as one in
-which `diagnose` finds nothing, and an hour takes minutes. --find: the analyses of `diagnose`, which take an hour for
-some hours. --share: diagnosis.share; with 1 the result of an analysis counts a minute after its begin, so that an hour
-has as many analyses as it can have. For each drive: findings on trial, which of them were wrong ones that came to FINE,
-all that was applied. The mounting of realistic drives is some degrees off, which is there to be found.
+which `diagnose` finds nothing, and an hour takes minutes.
+
+--find: the analyses of `diagnose`, which take an hour for some hours. --share: diagnosis.share; with 1 the result of an
+analysis counts a minute after its begin, so that an hour has as many analyses as it can have. --rate: of the fixes, Hz.
+--inputs: the filter has wheel speed, velocity of the receiver, and heading, with their faults. --each-fault: one fault
+for each drive, again and again, each --apart s; all findings are those of the look.
+
+For each drive: findings on trial, which were FINE, and what was applied; of each value how far it is from the true one
+in sigmas. The mounting of realistic drives is some degrees off, which is there to be found; nothing else is.
 """
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from faults import FAULTS
+from faults import FAULTS, Fault
 from vehicle import FIXES, simulated
 
 from mems_ins_fusion.diagnosis.estimate import Estimate
@@ -31,12 +38,14 @@ from mems_ins_fusion.diagnosis.watch import Watch
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Recording
+from mems_ins_fusion.simulation.scene import REALISTIC
 
 #: effect, parameter, and sizes that an analysis would find
 WRONG = (('gnss_time_offset', 'time_offset', (0.05, 0.3)), ('gnss_lever_arm', 'x', (0.5, 2.0)),
          ('gyroscope_scale', 'z', (0.005, 0.03)), ('mounting_rotation', 'yaw', (0.03, 0.1)))
-#: s from one fault to the next
-APART = 300.0
+
+#: topics of the inputs that --inputs gives to the filter
+INPUTS = {name: f'/{name}' for name in ('speed', 'velocity', 'heading')}
 
 
 def wrong_findings(rng: np.random.Generator) -> Callable:
@@ -54,12 +63,11 @@ def wrong_findings(rng: np.random.Generator) -> Callable:
     return find
 
 
-def with_faults(recording: Recording, seed: int) -> tuple[Recording, list[str]]:
-    """A fault of those that need no further parameters each APART s, in random order."""
+def with_faults(recording: Recording, seed: int, apart: float, faults: list[Fault]) -> tuple[Recording, list[str]]:
+    """One of `faults` each `apart` s, in random order."""
     rng, names = np.random.default_rng(seed), []
-    faults = [fault for fault in FAULTS if not fault.values]
     begin, end = (recording.imu.stamp[k] for k in (0, -1))
-    for at in np.arange(APART, (end - begin) * 1e-9 - APART, APART):
+    for at in np.arange(apart, (end - begin) * 1e-9 - apart, apart):
         fault = faults[rng.integers(len(faults))]
         inside = [(samples.stamp >= begin + at * 1e9) & (samples.stamp < begin + (at + fault.duration) * 1e9)
                   for samples in (recording.imu, recording.gnss)]
@@ -68,22 +76,51 @@ def with_faults(recording: Recording, seed: int) -> tuple[Recording, list[str]]:
     return recording, names
 
 
-def of_drive(seed: int, minutes: float, find: bool, receivers: list[str], share: float
-             ) -> tuple[str, list, list, int, list]:
-    """What the drive is, what was FINE, what was applied, how many findings were on trial, and the faults."""
-    receiver = receivers[seed % len(receivers)]
-    values = table.check({'diagnosis.online': 'apply', 'diagnosis.share': share})
-    recording = replace(simulated(seed, minutes, FIXES[receiver]), reference=None, speed=None, velocity=None,
-                        heading=None)
-    faulty = seed // len(receivers) % 2 == 1
-    recording, names = with_faults(recording, seed) if faulty else (recording, [])
-    watch = Watch(recording, values, find=None if find else wrong_findings(np.random.default_rng(seed)))
+@dataclass(frozen=True)
+class Drives:
+    """How drives are made, and what is told of them: as the options of the command line."""
+
+    minutes: float
+    receivers: list[str]
+    rate: float
+    inputs: bool
+    each_fault: bool
+    apart: float
+    faults: str
+    find: bool
+    share: float
+
+    def of(self, seed: int) -> tuple[str, Recording, list[str], dict]:
+        """What the drive is, its recording, the faults in it, and the values that its filter is given."""
+        name = self.receivers[seed % len(self.receivers)]
+        recording = replace(simulated(seed, self.minutes, replace(FIXES[name], rate=self.rate)), reference=None)
+        given = {f'{one}_topic': topic for one, topic in INPUTS.items()} if self.inputs else {}
+        if not self.inputs:
+            recording = replace(recording, **dict.fromkeys(INPUTS))
+        faults = [fault for fault in FAULTS if fault.values.items() <= given.items()
+                  and any(part in fault.name for part in self.faults.split(','))]
+        number, faulty = divmod(seed // len(self.receivers), 2)
+        if self.each_fault:
+            faults, faulty = [faults[seed % len(faults)]], True
+        faults = with_faults(recording, seed, self.apart, faults) if faulty else (recording, [])
+        return f'{name}{", faults" if faulty else ""}', *faults, given
+
+
+def of_drive(seed: int, drives: Drives) -> tuple[str, list, list, list, list[str]]:
+    """What the drive is, what was on trial, FINE, and applied, and the faults."""
+    name, recording, faults, given = drives.of(seed)
+    values = table.check({'diagnosis.online': 'apply', 'diagnosis.share': drives.share, **given})
+    wrong = (lambda part, given: []) if drives.each_fault else wrong_findings(np.random.default_rng(seed))
+    watch = Watch(recording, values, find=None if drives.find else wrong)
     while watch.take() is not None:
         pass
-    begin = int(recording.imu.stamp[0])
-    said = [(round((q.time - begin) * 1e-9), q.name, q.text.split(';')[0]) for q in watch.said if q.state == FINE]
-    applied = [(round((q.time - begin) * 1e-9), q.name, q.text) for q in watch.said if q.applied]
-    return f'{receiver}{", faults" if faulty else ""}', said, applied, watch.trials, names
+    true = {f'mounting_rotation {p}': v for effect, sizes in REALISTIC.distortions(seed)['effects']
+            if effect.name == 'mounting_rotation' for p, v in sizes.items()}
+    told = [[(round((q.time - recording.imu.stamp[0]) * 1e-9), q.name, *(
+        f'{p} {e.text()} ({(e.value - true.get(f"{q.name} {p}", 0.0)) / e.sigma:+.1f} sigma)'
+        for p, e in q.parameters.items() if e.known)) for q in watch.said if which(q)]
+        for which in (lambda q: q.parameters, lambda q: q.state == FINE, lambda q: q.applied)]
+    return name, *told, faults
 
 
 def main() -> None:
@@ -95,17 +132,19 @@ def main() -> None:
     parser.add_argument('--find', action='store_true')
     parser.add_argument('--share', type=float, default=0.1)
     parser.add_argument('--receivers', nargs='+', choices=FIXES, default=list(FIXES))
+    parser.add_argument('--rate', type=float, default=1.0)
+    parser.add_argument('--inputs', action='store_true')
+    parser.add_argument('--each-fault', action='store_true')
+    parser.add_argument('--apart', type=float, default=300.0)
+    parser.add_argument('--faults', default='', help='those with one of these in their name, separated by commas')
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + round(options.hours * 60.0 / options.minutes))
-    hours = trials = 0.0
+    drives = Drives(**{one.name: getattr(options, one.name) for one in dataclasses.fields(Drives)})
     print('| seed | drive | on trial | FINE | applied |\n|---|---|---|---|---|', flush=True)
     with ProcessPoolExecutor(options.processes) as pool:
-        rest = options.minutes, options.find, options.receivers, options.share
-        rows = pool.map(of_drive, seeds, *zip(*[rest] * len(seeds)))
-        for seed, (drive, said, applied, count, names) in zip(seeds, rows):
-            hours, trials = hours + options.minutes / 60.0, trials + count
-            print(f"| {seed} | {drive} | {count} | {said or 'none'} | {applied or 'none'} |", flush=True)
-            print(f'{hours:.1f} h, {trials:.0f} trials', names, flush=True)
+        for seed, (drive, tried, fine, applied, faults) in zip(seeds, pool.map(of_drive, seeds, [drives] * len(seeds))):
+            print(f"| {seed} | {drive} {', '.join(dict.fromkeys(faults))} | {tried or 'none'} | {fine or 'none'} | "
+                  f"{applied or 'none'} |", flush=True)
 
 
 if __name__ == '__main__':

@@ -18,7 +18,7 @@ from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
 from mems_ins_fusion.diagnosis.online import OTHER, Online
 from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
-from mems_ins_fusion.diagnosis.trial import Trial
+from mems_ins_fusion.diagnosis.trial import DOUBTED, TAKEN_BACK, Trial
 from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
 from mems_ins_fusion.diagnosis.watch import Watch
 from mems_ins_fusion.effects.registry import effect_called
@@ -394,6 +394,45 @@ def test_what_an_earlier_drive_has_proven_is_suspect_until_it_is_proven_again(la
     assert said[0][1] == {'gnss.time_offset': -OFFSET} and said[-1] == ({NAME: (SUSPECT, False)}, {})
 
 
+def test_two_turns_take_back_what_the_last_minutes_show_to_be_another(late):
+    # given an offset that drives, and outages that speak against it by as much as two turns do of an antenna
+    def after_a_look(look):
+        work = Online(APPLY, blind, look, [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})])
+        trial = work.applied[NAME]
+        for bets in trial.bets.values():
+            bets.con = math.log(2.0 * DOUBTED)
+        chunk = next(iter(chunks(late)))
+        work.take(chunk.having({**chunk.streams(), 'gnss': chunk.gnss.select(slice(0, 0))}))
+        assert DOUBTED < trial.harm < TAKEN_BACK
+        return work
+    # then it goes where a look at the samples shows another value, and not else
+    assert after_a_look(blind).sets == {'gnss.time_offset': OFFSET}
+    other = after_a_look(lambda recording, values: [finding(-OFFSET)])
+    assert other.sets == {}
+    # and is told as what has been taken back: the other value is what was left beside it
+    assert other.trials[NAME].harmful and other.trials[NAME].finding.parameters['time_offset'].value == OFFSET
+
+
+def test_the_filter_beside_takes_over_at_once_where_a_finding_is_taken_back(late, monkeypatch):
+    # given fixes that are late, a filter with a finding that they are not, one beside it without, and a diagnosis that
+    # takes the finding back after 100 s
+    monkeypatch.setattr(changing, 'DROPPED', math.inf)
+    begin, last = 100 * 20 + 1, 102 * 20  # nearly a second and two fixes before filters are compared
+    right = {**APPLY, 'gnss.time_offset': OFFSET}
+    fusion, running = changing.ChangingFilter(FilterConfig.from_parameters(APPLY)), []
+    fusion.watch({NAME: right})
+    fed(fusion, late, 0, last, {begin: lambda: fusion.change(right),
+                                begin + 1: lambda: running.extend(fusion._running)})
+    # then that one goes on, which has run for long and gets each sample once, with the bits of a filter that never had
+    # the finding
+    assert len(running) == 1
+    handover, = fusion.handovers
+    assert handover.stamp - late.imu.stamp[begin] <= 1.1 * SECOND and not fusion._running
+    own = FusionFilter(FilterConfig.from_parameters(right))
+    fed(own, late, 0, last)
+    assert np.array_equal(newest_row(own._memory), newest_row(fusion._memory))
+
+
 TOPICS = {'imu_topic': '/imu/data', 'gnss_topic': '/fix'}
 HERE = {'stamp': 1_000 * SECOND, 'latitude': 0.84, 'longitude': 0.2, 'height': 480.0, 'yaw': 1.2}
 
@@ -563,17 +602,29 @@ def test_what_is_proven_with_something_else_has_to_be_proven_beside_it():
     for trial in work.trials.values():
         trial.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 200 for duration in OUTAGES})
         assert trial.state == FINE
-    # then one of them is applied, and the other one is not before outages beside the first have proven it, as a third
-    # trial
+    # then one of them is applied, and the other one is not before outages beside the first have proven it, as the
+    # second trial that it is: what it had won is given away
     for _ in range(3):
         work._decide()
     other = work.trials['other']
-    assert list(work.applied) == [NAME] and other.state == COARSE
-    assert other.needed == pytest.approx((3 * math.pi) ** 2 / (6 * online.FALSE_ALARMS))
+    assert list(work.applied) == [NAME] and other.state == COARSE and other.wealth == 1.0
+    assert other.needed == pytest.approx((2 * math.pi) ** 2 / (6 * online.FALSE_ALARMS))
     # and what drives stays proven where the other one follows
     other.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 200 for duration in OUTAGES})
     work._decide()
-    assert [trial.state for trial in work.applied.values()] == [FINE, FINE] and work.begun == 3
+    assert [trial.state for trial in work.applied.values()] == [FINE, FINE] and work.begun == 2
+
+
+def test_what_a_trial_has_lost_has_to_be_won_again_where_it_begins_anew():
+    # given a trial on which outages have cost nearly half of the wealth that it began with
+    one = Trial(finding(), {}, 100.0)
+    for _ in range(20):
+        one.take({duration: [((1.0, 0.0), (2.0, 0.0))] * 9 for duration in OUTAGES})
+    left = one.wealth
+    assert left < 0.6
+    # then its mean does not grow by a new begin: 1 of as much more is as improbable as before
+    one.begin_anew()
+    assert one.wealth == 1.0 and one.needed == pytest.approx(100.0 / left)
 
 
 def test_a_mounting_that_the_filter_estimates_changes_nothing_that_trials_compare():

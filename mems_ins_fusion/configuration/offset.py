@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -236,7 +236,8 @@ class _Pieces:
     time: (w, m) s. place: (w, m, 2) m, north and west. used: (w, m) bool, which are fixes and not padding. weight:
     (w, m). lasting: (3, w, m, m) covariances of what lasts, for a variance of 1. own: (10,) information on what each
     piece has of its own: place, velocity, attitude, rate. smoothing: s^2, of the receiver; behind: (n, 3) m, by how
-    much its fixes are behind then, and by_smoothing the derivative, m/s^2.
+    much its fixes are behind then, and by_smoothing the derivative, m/s^2. roots: by noise, as of `_whitening`: they
+    cost more than all else, and each noise is tried at several offsets and smoothings.
     """
 
     track: Track
@@ -251,6 +252,7 @@ class _Pieces:
     smoothing: float
     behind: np.ndarray
     by_smoothing: np.ndarray
+    roots: dict = field(default_factory=dict)
 
     @property
     def freedom(self) -> int:
@@ -261,7 +263,7 @@ class _Pieces:
         size = np.linalg.norm(found.residual, axis=-1)
         typical = np.median(size[self.used]) / 1.18  # of a two-dimensional normal distribution
         weight = self.used * np.minimum(1.0, _FAR * typical / np.maximum(size, 1e-9)) ** 2
-        return replace(self, weight=weight)
+        return replace(self, weight=weight, roots={})
 
     def smoothed(self, smoothing: float) -> _Pieces:
         """As a receiver sees it that smooths by so much, s^2; less than nothing counts as nothing."""
@@ -312,6 +314,11 @@ class _Pieces:
 
     def _whitening(self, noise):
         """(w, m, m) inverses of the roots of the fixes' covariances, and the logarithm of their determinants."""
+        if noise not in self.roots:
+            self.roots[noise] = self._inverse_roots(noise)
+        return self.roots[noise]
+
+    def _inverse_roots(self, noise):
         covariance = self.sigma**2 * np.einsum('k,kwij->wij', noise, self.lasting)
         covariance *= self.used[:, :, None] & self.used[:, None, :]
         diagonal = np.arange(self.time.shape[1])

@@ -178,6 +178,8 @@ class Online:
                 self._conclude()
         for name, trial in self.applied.items():
             trial.seen = name not in self.trials or self.trials[name].rejected
+        if self._applies:
+            self._take_back_harmful()
         return self.quantities()
 
     @property
@@ -296,21 +298,27 @@ class Online:
 
     def _decide(self) -> None:
         """Apply what is proven, and take back what does harm; one at a time, as each changes what others compare."""
-        harmful = next((name for name, trial in self.applied.items() if trial.rejected), None)
         proven = next((name for name, trial in self.trials.items() if trial.proven), None)
+        if proven not in self.applied and self._take_back_harmful():
+            return
+        if proven in self.applied:  # another value is proven, which takes its place
+            self._window = cut(self._window, LATEST)
+        if proven is not None:
+            self._apply(proven)
+
+    def _take_back_harmful(self) -> bool:
+        """Take back one of those applied that does harm; whether there is one."""
+        harmful = next((name for name, trial in self.applied.items() if trial.rejected), None)
         if harmful is not None:
             self._take_back(harmful)
             self._window = cut(self._window, LATEST)  # what came before the change is of another vehicle
-        elif proven is not None:
-            if proven in self.applied:
-                self._window = cut(self._window, LATEST)
-            self._apply(proven)
+        return harmful is not None
 
     def _take_back(self, name: str) -> None:
         """Have the trial of this name no longer in the parameters that drive."""
         trial = self.applied.pop(name)
         trial.applied, trial.proven, trial.harmful, trial.kept = False, False, True, None
-        self.trials.setdefault(name, trial)
+        self.trials[name] = trial  # another value on trial is what was left beside this one
         self._changed_by(trial)
 
     def _apply(self, name: str) -> None:
@@ -321,15 +329,13 @@ class Online:
 
     def _changed_by(self, trial: Trial) -> None:
         """The parameters that drive are others: an analysis that goes on is of those before, and so is what the other
-        trials have shown. From now on each that is not proven is another one."""
+        trials have shown."""
         self._analysis = None
         if effect_called(trial.finding.name).held(self._values) != self._values:
             return  # each of the filters estimates it, and predicts as before
         for other in (*self.trials.values(), *self.applied.values()):
             if other is not trial:
                 other.begin_anew()
-                if not other.proven:
-                    other.needed = self._next_needed()
 
     def _begin_anew_since(self, dropped: Sequence[Dropped]) -> None:
         """The vehicle is another one since the filter has dropped what was right before."""

@@ -16,7 +16,9 @@ from .trial_outages import OUTAGES, Place
 #: outages in which what is applied and does good is taken back once at most: a day of the shortest ones
 TAKEN_BACK = 86_400.0
 #: wealth against it in outages of one duration with which nothing is proven: what follows the errors of the fixes, and
-#: so predicts the next one, predicts worse over half a minute
+#: so predicts the next one, predicts worse over half a minute. With as much in all outages it is taken back where the
+#: last minutes show another value: then it takes both to be wrong by chance. An antenna shows in turns alone, and one
+#: or two turns after it has been moved do not reach TAKEN_BACK
 DOUBTED = 20.0
 #: of the bets on one duration: those on each outage add up what is seen of small differences (fixes of metres), those
 #: on clear ones alone lose nothing on a straight road
@@ -72,7 +74,7 @@ class Trial:
     @property
     def rejected(self) -> bool:
         if self.applied:
-            return self.harm >= TAKEN_BACK
+            return self.harm >= (TAKEN_BACK if self.seen else DOUBTED)
         return self.harmful or (not self.proven and self.harm >= self.needed)
 
     @property
@@ -114,7 +116,9 @@ class Trial:
 
     def begin_anew(self) -> None:
         """The parameters that drive have changed: what was seen before compared others, and what is not one of those
-        that drive has to be proven beside them."""
+        that drive has to be proven beside them. What was won is given away and what was lost has to be won again, so
+        that a wealth that does not grow in the mean does not by this either."""
+        self.needed /= min(self.wealth, 1.0)
         for bets in self.bets.values():
             bets.begin_anew()
             _without_wealth(bets)

@@ -190,8 +190,11 @@ class ChangingFilter(WatchedFilter):
         without: by name of each finding in them, the parameters without it.
         """
         self._without = without or {}
-        self._next = self._having(values)
+        # where a finding is taken back, the filter without it runs already
+        there = next((one for one in self._beside.values() if one.fusion.config.parameters == values), None)
+        self._next = there or self._having(values)
         self._ready = [one for one in self._ready if one is not self._next]
+        self._beside = {name: one for name, one in self._beside.items() if one is not self._next}
 
     def prepare(self, several: list[dict]) -> None:
         """Run a filter with each of these checked parameters in parallel, so that it has settled when it is to take
