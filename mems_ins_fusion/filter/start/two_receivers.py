@@ -1,4 +1,4 @@
-"""The first heading from two receivers: the direction from one antenna to the other, while a slow vehicle goes straight.
+"""The first heading from two receivers: from one antenna to the other, while a slow vehicle goes straight on.
 
 At rest the antennas tell it, too. But whether they are exchanged shows only in the way that the vehicle goes.
 """
