@@ -10,7 +10,7 @@ from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.memory import Event, Kind, Verdict
+from mems_ins_fusion.filter.memory import Event, Kind, Nav, Verdict
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
 from mems_ins_fusion.filter.trust import displacement
 from mems_ins_fusion.filter.trust.scale import Seen
@@ -480,3 +480,33 @@ def test_one_fix_that_is_far_off_is_passed_over_and_two_are_another_speed():
     assert displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05) and mem[Seen.REDUCED] == 0.0
     compared([10.0] * 12, mem)
     assert displacement.is_compared(mem, 0) and not displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05)
+
+
+@pytest.mark.parametrize('rate', [10.0, 100.0])
+def test_stamps_that_may_be_late_count_by_the_change_of_velocity_and_not_by_its_noise(rate):
+    # given a speed north with a noise of 0.05 m/s that goes from 5 to 8 m/s in five seconds, stamps known to 0.3 s
+    mem, rng = np.zeros(Nav.SIZE + Seen.SIZE), np.random.default_rng(1)
+    own, sigma = Nav.SIZE, 0.3
+    time = np.arange(1, round(5.0 * rate) + 1) / rate
+    said = 5.0 + 3.0 * time / 5.0 + 0.05 * rng.standard_normal(len(time))
+    mem[own + Seen.START] = mem[own + Seen.DISPLACEMENT_TIME] = 1e-9
+    mem[own + Seen.LAST] = mem[own + Seen.BEGAN] = 5.0
+    for now, north in zip(time, said):
+        displacement.integrate(mem, 0, own, now, north, 0.0, 0.0, 0.0, 0.0, sigma**2)
+    # then its integral is off by the offset times the change of velocity, at any rate
+    assert mem[own + Seen.LATE] == pytest.approx((sigma * (said[-1] - 5.0)) ** 2)
+    assert mem[own + Seen.VARIANCE] < 0.01
+
+
+def test_a_velocity_that_is_refused_at_once_has_not_misled_the_filter():
+    # given a velocity of the receiver at 10 Hz that has the other sign from a standstill on, and no fixes later on
+    recording = simulate_recording(
+        simulate_drive(200.0, 5, 50.0, standstill=60.0), SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
+        GnssNoise(1.5, 1.0), seed=5, aiding=Aiding(velocity_rate=10.0)).recording
+    velocity = recording.velocity
+    turned_round = velocity.stamp > recording.imu.stamp[0] + 50 * SECOND
+    wrong = replace(velocity, velocity=np.where(turned_round[:, None], -1.0, 1.0) * velocity.velocity)
+    begins = (90.0, 130.0)
+    # then outages are as without it; where it counted as one that had been believed, ten times as far
+    without = largest_errors(recording, {'velocity': velocity.select(~turned_round)}, begins)
+    assert np.mean(largest_errors(recording, {'velocity': wrong}, begins)) < 1.2 * np.mean(without)
