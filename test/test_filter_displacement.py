@@ -10,9 +10,9 @@ from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.memory import Event, Kind, Nav, Verdict
+from mems_ins_fusion.filter.memory import Event, Head, Kind, Nav, Verdict
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
-from mems_ins_fusion.filter.trust import displacement
+from mems_ins_fusion.filter.trust import displacement, inputs
 from mems_ins_fusion.filter.trust.scale import Seen
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import table
@@ -498,15 +498,14 @@ def test_stamps_that_may_be_late_count_by_the_change_of_velocity_and_not_by_its_
     assert mem[own + Seen.VARIANCE] < 0.01
 
 
-def test_a_velocity_that_is_refused_at_once_has_not_misled_the_filter():
-    # given a velocity of the receiver at 10 Hz that has the other sign from a standstill on, and no fixes later on
-    recording = simulate_recording(
-        simulate_drive(200.0, 5, 50.0, standstill=60.0), SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
-        GnssNoise(1.5, 1.0), seed=5, aiding=Aiding(velocity_rate=10.0)).recording
-    velocity = recording.velocity
-    turned_round = velocity.stamp > recording.imu.stamp[0] + 50 * SECOND
-    wrong = replace(velocity, velocity=np.where(turned_round[:, None], -1.0, 1.0) * velocity.velocity)
-    begins = (90.0, 130.0)
-    # then outages are as without it; where it counted as one that had been believed, ten times as far
-    without = largest_errors(recording, {'velocity': velocity.select(~turned_round)}, begins)
-    assert np.mean(largest_errors(recording, {'velocity': wrong}, begins)) < 1.2 * np.mean(without)
+@pytest.mark.parametrize('fitted, misled', [(99.9, True), (98.0, True), (94.0, False), (0.0, False)])
+def test_only_an_input_that_was_used_since_the_fix_before_has_misled_the_filter(fitted, misled):
+    # given a velocity at 100 s that contradicts the fixes, the one before them at 99 s, and when it fitted last
+    mem, r, at = np.zeros(3000), 1000, 2800
+    own = r + 1500 - Seen.SIZE
+    mem[Head.WIDTH], mem[Head.LATERAL_SIGMA] = 1500, 0.3
+    mem[at + Event.KIND], mem[at + Event.INPUT], mem[at + Event.TIME] = Kind.VELOCITY, 1, 100.0
+    mem[own + Seen.START], mem[own + Seen.COMPARED], mem[own + Seen.FITTED] = 99.0, -1.0, fitted
+    inputs._note_wrong_displacement(mem, r, at, 15)
+    # then all fixes are used for a while only where it has, and it is refused in any case
+    assert (mem[r + Nav.USE_ALL_FIXES] > 0.0) == misled and mem[own + Seen.FITTED] == -100.0
