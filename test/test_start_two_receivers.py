@@ -25,8 +25,8 @@ SIGMA = 0.02  # m
 YAW = 2.0  # rad
 
 
-def seen(speed=0.4, turn=0.0, arm=ARM, seconds=4.0, lag=0.0, scatter=0.0):
-    """Fixes of both receivers at 5 Hz; lag: of the further one's, s."""
+def seen(speed=0.4, turn=0.0, ahead=0.4, seconds=4.0, lag=0.0):
+    """Fixes of both receivers at 5 Hz. ahead: m, from the IMU to the main antenna; lag: of the further one, s."""
     def antenna(time, beyond):
         yaw = YAW + turn * (time - seconds)
         way = speed * time
@@ -34,11 +34,7 @@ def seen(speed=0.4, turn=0.0, arm=ARM, seconds=4.0, lag=0.0, scatter=0.0):
                                 way * np.sin(YAW) + np.sin(yaw) * beyond[0] + np.cos(yaw) * beyond[1],
                                 np.full(len(time), SIGMA)])
     time = np.arange(0.0, seconds + 1e-6, 0.2)
-    noise = scatter * np.random.default_rng(1).standard_normal((2, len(time), 2))
-    main, other = antenna(time, np.array([0.4, 0.0])), antenna(time + lag, np.array([0.4, 0.0]) + arm)
-    main[:, 1:3] += noise[0]
-    other[:, 1:3] += noise[1]
-    return main, other
+    return antenna(time, np.array([ahead, 0.0])), antenna(time + lag, np.array([ahead, 0.0]) + ARM)
 
 
 @pytest.mark.parametrize('lag', [0.0, -0.07])
@@ -56,8 +52,10 @@ def test_the_antennas_tell_the_heading_and_the_way_confirms_it(lag):
     ('reversing, or antennas exchanged', {'speed': -0.4}, ARM, 0.0),
     ('arms exchanged in the parameters', {}, -ARM, 0.0),
     ('sideways', {}, [-ARM[1], ARM[0]], 0.0),
+    ('aside by 35 deg', {}, [0.82 * ARM[0] - 0.57 * ARM[1], 0.57 * ARM[0] + 0.82 * ARM[1]], 0.0),
     ('turning on the spot', {'speed': 0.0, 'turn': 0.5}, ARM, 0.0),
     ('in a turn', {'turn': 0.5}, ARM, 0.0),
+    ('in a turn about the main antenna', {'turn': 0.5, 'ahead': 0.0}, ARM, 0.0),
     ('so fast that the course tells it', {'speed': 5.0}, ARM, 0.0),
     ('another distance than that of the arms', {}, 1.5 * ARM, 0.0),
     ('antennas as close as they are uncertain', {}, ARM, 0.3),
@@ -68,8 +66,9 @@ def test_no_heading(case, values, arm, sigma):
     assert find_heading(*seen(**values), np.asarray(arm), sigma) is None, case
 
 
-def test_one_fix_or_none_of_the_other_receiver_is_no_heading():
+def test_one_fix_or_none_of_the_other_receiver_is_no_heading_and_old_ones_neither():
     main, other = seen()
+    assert find_heading(main, other[:-4], ARM, 0.0) is not None and find_heading(main, other[:-8], ARM, 0.0) is None
     assert find_heading(main, other[-1:], ARM, 0.0) is None
     assert find_heading(main[-1:], other, ARM, 0.0) is None
 

@@ -13,9 +13,10 @@ import numpy as np
 HEADING_SIGMA = 0.15
 #: s over which the vehicle has to go straight on: a robot at walking pace goes by more than its fixes are uncertain
 STRAIGHT_TIME = 1.0
-#: s between two fixes of the main receiver, at most, between which its place is interpolated
+#: s between two fixes of the main receiver, at most, between which its place is interpolated, and from the latest place
+#: of the further one to the latest fix
 LONGEST_GAP = 1.1
-#: rad by which the heading may change meanwhile: more is a turn, in which an antenna goes sideways
+#: rad by which the heading may change meanwhile: in a turn it is another one at the latest fix
 LARGEST_TURN = 0.1
 #: sigmas: by more the displacement has to differ from zero, and by no more the distance of the antennas from their arms
 MOVED, APART = 5.0, 3.0
@@ -45,11 +46,9 @@ def find_heading(positions: np.ndarray, places: np.ndarray, arm: np.ndarray, arm
     length = math.hypot(*arm)
     after = np.searchsorted(positions[:, 0], places[:, 0])
     inside = (after > 0) & (after < len(positions))
-    if np.count_nonzero(inside) < 2 or length == 0.0:
-        return None
     places, after = places[inside], after[inside]
     pairs = places[positions[after, 0] - positions[after - 1, 0] < LONGEST_GAP]
-    if len(pairs) < 2:
+    if len(pairs) < 2 or positions[-1, 0] - pairs[-1, 0] > LONGEST_GAP:
         return None
     main = np.column_stack([np.interp(pairs[:, 0], positions[:, 0], positions[:, k]) for k in (1, 2, 3)])
     apart = pairs[:, 1:3] - main[:, :2]
@@ -59,13 +58,14 @@ def find_heading(positions: np.ndarray, places: np.ndarray, arm: np.ndarray, arm
         return None
     if (np.abs(np.hypot(*apart.T) - length) > APART * sigma)[first:].any():
         return None
-    yaw = np.unwrap(np.arctan2(apart[first:, 1], apart[first:, 0]) - math.atan2(arm[1], arm[0]))
-    if np.ptp(yaw) > max(LARGEST_TURN, APART * sigma[-1] / length):
+    bearing = np.unwrap(np.arctan2(apart[first:, 1], apart[first:, 0]))
+    if np.ptp(bearing) > max(LARGEST_TURN, APART * sigma[-1] / length):
         return None
-    ahead, interval = np.array([math.cos(yaw[-1]), math.sin(yaw[-1])]), pairs[-1, 0] - pairs[first, 0]
+    yaw = float(bearing[-1]) - math.atan2(arm[1], arm[0])
+    ahead, interval = np.array([math.cos(yaw), math.sin(yaw)]), pairs[-1, 0] - pairs[first, 0]
     moved, noise = main[-1, :2] - main[first, :2], math.hypot(main[-1, 2], main[first, 2])
     along, across = float(moved @ ahead), float(moved[1] * ahead[0] - moved[0] * ahead[1])
     if along < MOVED * noise or abs(across) > LARGEST_SIDEWAYS * along or along > SLOW_SPEED * interval:
         return None
-    return Heading(float(yaw[-1]), float(sigma[-1]) / length, along / interval,
+    return Heading(yaw, float(sigma[-1]) / length, along / interval,
                    math.hypot(noise / interval, SPEED_SIGMA))
