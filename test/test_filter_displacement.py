@@ -10,9 +10,9 @@ from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.memory import Event, Kind, Verdict
+from mems_ins_fusion.filter.memory import Event, Head, Kind, Nav, Verdict
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
-from mems_ins_fusion.filter.trust import displacement
+from mems_ins_fusion.filter.trust import displacement, inputs
 from mems_ins_fusion.filter.trust.scale import Seen
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import table
@@ -480,3 +480,32 @@ def test_one_fix_that_is_far_off_is_passed_over_and_two_are_another_speed():
     assert displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05) and mem[Seen.REDUCED] == 0.0
     compared([10.0] * 12, mem)
     assert displacement.is_compared(mem, 0) and not displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05)
+
+
+@pytest.mark.parametrize('rate', [10.0, 100.0])
+def test_stamps_that_may_be_late_count_by_the_change_of_velocity_and_not_by_its_noise(rate):
+    # given a speed north with a noise of 0.05 m/s that goes from 5 to 8 m/s in five seconds, stamps known to 0.3 s
+    mem, rng = np.zeros(Nav.SIZE + Seen.SIZE), np.random.default_rng(1)
+    own, sigma = Nav.SIZE, 0.3
+    time = np.arange(1, round(5.0 * rate) + 1) / rate
+    said = 5.0 + 3.0 * time / 5.0 + 0.05 * rng.standard_normal(len(time))
+    mem[own + Seen.START] = mem[own + Seen.DISPLACEMENT_TIME] = 1e-9
+    mem[own + Seen.LAST] = mem[own + Seen.BEGAN] = 5.0
+    for now, north in zip(time, said):
+        displacement.integrate(mem, 0, own, now, north, 0.0, 0.0, 0.0, 0.0, sigma**2)
+    # then its integral is off by the offset times the change of velocity, at any rate
+    assert mem[own + Seen.LATE] == pytest.approx((sigma * (said[-1] - 5.0)) ** 2)
+    assert mem[own + Seen.VARIANCE] < 0.01
+
+
+@pytest.mark.parametrize('fitted, misled', [(99.9, True), (98.0, True), (94.0, False), (0.0, False)])
+def test_only_an_input_that_was_used_since_the_fix_before_has_misled_the_filter(fitted, misled):
+    # given a velocity at 100 s that contradicts the fixes, the one before them at 99 s, and when it fitted last
+    mem, r, at = np.zeros(3000), 1000, 2800
+    own = r + 1500 - Seen.SIZE
+    mem[Head.WIDTH], mem[Head.LATERAL_SIGMA] = 1500, 0.3
+    mem[at + Event.KIND], mem[at + Event.INPUT], mem[at + Event.TIME] = Kind.VELOCITY, 1, 100.0
+    mem[own + Seen.START], mem[own + Seen.COMPARED], mem[own + Seen.FITTED] = 99.0, -1.0, fitted
+    inputs._note_wrong_displacement(mem, r, at, 15)
+    # then all fixes are used for a while only where it has, and it is refused in any case
+    assert (mem[r + Nav.USE_ALL_FIXES] > 0.0) == misled and mem[own + Seen.FITTED] == -100.0

@@ -180,7 +180,7 @@ def packed(i, j, size):
     return i * size - i * (i - 1) // 2 + j - i
 
 
-INPUT_SIZE = 39  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
+INPUT_SIZE = 42  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
 
 
 def row_width(layout: StateLayout) -> int:

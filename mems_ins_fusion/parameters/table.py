@@ -132,7 +132,8 @@ FILTER = (
               '(strapdown): the heading becomes less certain by this share of a turn. Data sheets of cheap parts allow '
               '0.01 to 0.03. 0: gyroscope.scale is exact.', minimum=0.0, maximum=0.5),
     Parameter('alignment.heading', 'course', 'text', 'Where the first heading comes from: course (of the fixes, once '
-              'the vehicle moves), orientation (of the Imu message) or parameter.',
+              'the vehicle moves; of a slow one with two receivers the way from antenna to antenna, with a '
+              'magnetometer the magnetic field), orientation (of the Imu message) or parameter.',
               choices=('course', 'orientation', 'parameter')),
     Parameter('alignment.yaw', 0.0, 'rad', 'With alignment.heading parameter: the heading, clockwise from north.',
               minimum=-2 * math.pi, maximum=2 * math.pi),

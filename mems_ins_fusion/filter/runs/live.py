@@ -232,8 +232,8 @@ class FusionFilter(FilterStatus):
                 self._first_places.append(record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]].tolist())
                 self.datum = first_place(self._first_places) if len(self._first_places) == DATUM_FIXES else None
         if self._memory is None:
-            if record[Event.KIND] == Kind.MAGNETIC:
-                self._alignment.add_field(record)
+            if record[Event.KIND] in (Kind.MAGNETIC, Kind.PLACE):
+                self._alignment.add_input(record)
             elif kind == Kind.POSITION:
                 start = self._alignment.add_record(record, self.say)
                 if start is not None:

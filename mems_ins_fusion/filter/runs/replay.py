@@ -221,9 +221,10 @@ class Replay(Intake):
         alignment, fed = self._alignment(), 0
         if saved is not None:
             alignment.use_saved(saved)
-        for i in np.flatnonzero((events.kind == Kind.POSITION) | (events.record[:, Event.KIND] == Kind.MAGNETIC)):
+        for i in np.flatnonzero((events.kind == Kind.POSITION)
+                                | np.isin(events.record[:, Event.KIND], (Kind.MAGNETIC, Kind.PLACE))):
             if events.kind[i] != Kind.POSITION:
-                alignment.add_field(events.record[i])
+                alignment.add_input(events.record[i])
                 continue
             upto = events.arrival[i]
             orientation = None if self.imu.orientation is None else self.imu.orientation[kept[fed:upto]]

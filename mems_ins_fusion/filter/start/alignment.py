@@ -28,6 +28,7 @@ from .course import (
 from .magnetic import find_magnetic_heading
 from .plausibility import is_backwards, problem_of_driving_off, problem_of_samples
 from .start import DATUM_FIXES, SavedState, Standstill, Start
+from .two_receivers import Heading, find_heading
 
 LONGEST_KEPT = 300.0  # s of samples and fixes kept while waiting
 RECENT = 10.0  # s of samples and fixes from which a present standstill, or the speed of a slow vehicle, is determined
@@ -60,6 +61,10 @@ class Alignment:
         self._magnetometer = next((one for number, one in config.inputs.items() if one.kind == Kind.MAGNETIC
                                    and config.settings_of(number).topic), None)
         self._fields: list[tuple] = []  # time, field in body axes, variance and declination
+        #: further receivers by their `Event.INPUT`, and the fixes of each: time, latitude, longitude, variance
+        self._receivers = {config.of_input(number)[0]: one for number, one in config.inputs.items()
+                           if one.kind == Kind.POSITION and not one.is_plain}
+        self._places: dict[float, list[tuple]] = {number: [] for number in self._receivers}
         self._fixes: list[tuple] = []  # time, latitude, longitude, variance, height, covariance
         self._first: float | None = None  # time of the first sample
         self._saved: SavedState | None = None
@@ -97,9 +102,12 @@ class Alignment:
         if self._first is None and k:
             self._first = float(samples[0, 0])
 
-    def add_field(self, record: np.ndarray) -> None:
-        """Add one magnetic field, as a record."""
-        if record[Event.INPUT] == self.config.of_input(self._magnetometer.number)[0]:
+    def add_input(self, record: np.ndarray) -> None:
+        """Add one magnetic field, or one fix of a further receiver, as a record."""
+        if record[Event.KIND] == Kind.PLACE:
+            self._places[record[Event.INPUT]].append((record[Event.TIME], record[Event.LATITUDE],
+                                                      record[Event.LONGITUDE], record[Event.R_NN]))
+        elif record[Event.INPUT] == self.config.of_input(self._magnetometer.number)[0]:
             self._fields.append((record[Event.TIME], *record[Event.VALUE:Event.VALUE + 3], record[Event.R_NN],
                                  record[Event.DECLINATION]))
 
@@ -193,12 +201,18 @@ class Alignment:
         while self._fixes and self._fixes[0][0] < before:
             self._fixes.pop(0)
         self._fields = [field for field in self._fields if field[0] >= before]
+        self._places = {number: [place for place in places if place[0] >= before]
+                        for number, places in self._places.items()}
 
     def _positions(self) -> np.ndarray:
         """The fixes (k, 4): time, s; north and east from the first one, m; sigma, m."""
+        return self._relative([fix[:4] for fix in self._fixes])
+
+    def _relative(self, places) -> np.ndarray:
+        """Time, latitude, longitude and variance (k, 4) as time, s, north and east from the first fix, and sigma, m."""
         _, latitude, longitude, _, height, _ = self._fixes[0]
         north, east = radii(latitude)
-        positions = np.array([fix[:4] for fix in self._fixes])
+        positions = np.array(places)
         positions[:, 1] = (positions[:, 1] - latitude) * (north + height)
         positions[:, 2] = (near(positions[:, 2], longitude) - longitude) * (east + height) * math.cos(latitude)
         positions[:, 3] = np.sqrt(self._realised * positions[:, 3])
@@ -328,6 +342,9 @@ class Alignment:
         course = standstill = None
         if has_moved(positions, self._white) and self._consistent >= FEWEST_CONSISTENT:
             standstill = self._standstill(positions)
+            found = self._heading_of_receivers(positions)
+            if found is not None:
+                return self._start(*found, standstill, 'heading from two receivers')
             course = find_course(self._samples, positions, standstill, self.config, self._white)
         if course is None and self._magnetometer is not None:
             return self._start_from_field(positions)
@@ -335,6 +352,17 @@ class Alignment:
             raise Refused('the vehicle to move straight on: its course shows the heading')
         return self._start(course.yaw, course.yaw_sigma, course.speed, course.speed_sigma, standstill,
                            'heading from the course')
+
+    def _heading_of_receivers(self, positions) -> Heading | None:
+        """The heading from the main receiver and the further one that shows it best."""
+        found, begin = [], positions[-1, 0] - RECENT
+        for number, one in self._receivers.items():
+            places = sorted(place for place in self._places[number] if place[0] > begin)
+            if places:
+                found.append(find_heading(positions, self._relative(places),
+                                          (one.arm - self.config.gnss.lever_arm)[:2],
+                                          self.config.parameters[f'{one.name}.lever_arm_sigma']))
+        return min(filter(None, found), key=lambda heading: heading.yaw_sigma, default=None)
 
     def _start_from_field(self, positions) -> Start:
         """Start with the heading from the magnetic field, for a vehicle whose fixes show no course."""

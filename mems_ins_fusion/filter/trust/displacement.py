@@ -31,8 +31,6 @@ PRIOR = 1.0
 SHARE_WALK = 4e-6
 #: error of a displacement within a second, as a share of it, one sigma: bends between samples, a heading one degree off
 UNEVEN_SHARE = 0.02
-#: s over which a speed changes evenly: all changes within it have the same error of the stamps
-CHANGE_TIME = 1.0
 #: sigmas: a fix that is further off is not compared (four: one of 3000 by chance, chosen). After two in a row the fixes
 #: have jumped, or the speed has changed: the distance and its share begin anew
 GATE = 4.0
@@ -74,12 +72,12 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
     if not 0.0 < since <= LONGEST_PAUSE:
         interrupt(mem, own)
     mem[own + Seen.VARIANCE] += density * since
-    repeated = CHANGE_TIME / max(since, 1e-3)
+    mem[own + Seen.LATE] = 0.0
     for k, v in enumerate((v_n, v_e)):
         change, mem[own + Seen.LAST + k] = v - mem[own + Seen.LAST + k], v
         mem[own + Seen.DISPLACEMENT + k] += (v - 0.5 * change) * since + late * change
-        # it may have changed at any time in between; and all within a second has the same lateness
-        mem[own + Seen.VARIANCE] += ((since**2) / 12.0 + max(repeated, 1.0) * late_variance) * change**2
+        mem[own + Seen.VARIANCE] += since**2 / 12.0 * change**2  # it may have changed at any time in between
+        mem[own + Seen.LATE] += late_variance * (v - mem[own + Seen.BEGAN + k]) ** 2
 
 
 @njit(_nrt=False)
@@ -124,7 +122,7 @@ def _compare(mem, r, at, own, variance):
         north = (mem[at + Event.LATITUDE] - mem[own + Seen.START + 1]) / mem[r + Nav.NORTH_SCALE]
         east = (mem[at + Event.LONGITUDE] - mem[own + Seen.START + 2]) / mem[r + Nav.EAST_SCALE]
         moved = complex(mem[own + Seen.DISPLACEMENT] + last_n, mem[own + Seen.DISPLACEMENT + 1] + last_e)
-        drift = (mem[own + Seen.VARIANCE] + UNEVEN_SHARE**2 * abs(moved) ** 2 / interval
+        drift = (mem[own + Seen.VARIANCE] + mem[own + Seen.LATE] + UNEVEN_SHARE**2 * abs(moved) ** 2 / interval
                  + 2.0 * mem[r + Nav.LASTING] * interval / LASTING_TIME)
         if not learn(mem, own, moved, complex(north, east), drift, noise):
             return
@@ -132,6 +130,8 @@ def _compare(mem, r, at, own, variance):
     mem[own + Seen.TRAVELLED] = mem[own + Seen.TRAVELLED + 1] = 0.0
     # what is before the fix belongs to the displacement before
     mem[own + Seen.DISPLACEMENT], mem[own + Seen.DISPLACEMENT + 1] = -last_n, -last_e
+    mem[own + Seen.BEGAN], mem[own + Seen.BEGAN + 1] = mem[own + Seen.LAST], mem[own + Seen.LAST + 1]
+    mem[own + Seen.LATE] = 0.0
     mem[own + Seen.START + 1], mem[own + Seen.START + 2] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
 
 

@@ -265,7 +265,8 @@ def _note_wrong_displacement(mem, r, at, n):
     if error >= 0:
         tolerated = displacement.SIGNIFICANT * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
     if displacement.is_contradicted(mem, own, kind, tolerated):
-        if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
+        # it has misled the state where it was used since the fix before: one that was refused has not
+        if mem[own + Seen.FITTED] > max(mem[own + Seen.START] - displacement.LONGEST_PAUSE, 0.0):
             contradiction.use_all_fixes(mem, r)
         mem[own + Seen.FITTED] = -mem[at + Event.TIME]
 

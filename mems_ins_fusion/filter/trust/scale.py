@@ -77,7 +77,9 @@ class _Seen(NamedTuple):
     JUMP_INFORMATION: int = 34  # 1/s^2: the inverse of that variance,
     FOLLOWED: int = 35  # and by what the state follows, in each component, for each s: see trust/clock_jump.py
     TRAVELLED: int = 37  # m, north and east, by which the filter has gone since START
-    SIZE: int = 39
+    BEGAN: int = 39  # velocity north and east at START, m/s,
+    LATE: int = 41  # and the variance of the displacement by the error of its time offset, m^2
+    SIZE: int = 42
 
 
 Seen = _Seen()
