@@ -135,7 +135,7 @@ def add_best(known: Known, trials: TrialRuns) -> Known:
 def with_other_mechanization(known: Known, trials: TrialRuns) -> Known:
     """`known` with the mechanization that an effect asks for (tilt: strapdown), if that certainly predicts better.
 
-    Nothing is fitted to the data for it, so no score test is needed. On hills a planar filter may not pass that test,
+    Nothing is fitted to the data for it, so no score test is needed. On hills a filter without tilt may not pass it,
     because its fitted noise levels contain the slopes.
     """
     for effect in known.effects:
