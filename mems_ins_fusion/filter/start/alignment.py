@@ -18,6 +18,7 @@ from .course import (
     FASTEST_REVERSE,
     LONGEST_COURSE_TIME,
     Contradicted,
+    Course,
     Refused,
     driven_off,
     find_course,
@@ -28,7 +29,7 @@ from .course import (
 from .magnetic import find_magnetic_heading
 from .plausibility import is_backwards, problem_of_driving_off, problem_of_samples
 from .start import DATUM_FIXES, SavedState, Standstill, Start
-from .two_receivers import Heading, find_heading
+from .two_receivers import find_heading
 
 LONGEST_KEPT = 300.0  # s of samples and fixes kept while waiting
 RECENT = 10.0  # s of samples and fixes from which a present standstill, or the speed of a slow vehicle, is determined
@@ -340,21 +341,22 @@ class Alignment:
 
     def _start_from_course(self, positions) -> Start | None:
         course = standstill = None
+        source = 'heading from the course'
         if has_moved(positions, self._white) and self._consistent >= FEWEST_CONSISTENT:
             standstill = self._standstill(positions)
-            found = self._heading_of_receivers(positions)
-            if found is not None:
-                return self._start(*found, standstill, 'heading from two receivers')
-            course = find_course(self._samples, positions, standstill, self.config, self._white)
+            course = self._course_of_receivers(positions)
+            if course is not None:
+                source = 'heading from two receivers'
+            else:
+                course = find_course(self._samples, positions, standstill, self.config, self._white)
         if course is None and self._magnetometer is not None:
             return self._start_from_field(positions)
         if course is None:
             raise Refused('the vehicle to move straight on: its course shows the heading')
-        return self._start(course.yaw, course.yaw_sigma, course.speed, course.speed_sigma, standstill,
-                           'heading from the course')
+        return self._start(course.yaw, course.yaw_sigma, course.speed, course.speed_sigma, standstill, source)
 
-    def _heading_of_receivers(self, positions) -> Heading | None:
-        """The heading from the main receiver and the further one that shows it best."""
+    def _course_of_receivers(self, positions) -> Course | None:
+        """Heading and speed from the main receiver and the further one that shows the heading best."""
         found, begin = [], positions[-1, 0] - RECENT
         for number, one in self._receivers.items():
             places = sorted(place for place in self._places[number] if place[0] > begin)
@@ -362,7 +364,7 @@ class Alignment:
                 found.append(find_heading(positions, self._relative(places),
                                           (one.arm - self.config.gnss.lever_arm)[:2],
                                           self.config.parameters[f'{one.name}.lever_arm_sigma']))
-        return min(filter(None, found), key=lambda heading: heading.yaw_sigma, default=None)
+        return min(filter(None, found), key=lambda course: course.yaw_sigma, default=None)
 
     def _start_from_field(self, positions) -> Start:
         """Start with the heading from the magnetic field, for a vehicle whose fixes show no course."""

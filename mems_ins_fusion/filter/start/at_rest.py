@@ -21,7 +21,8 @@ STEADY_RATE = 0.005  # rad/s, the same of the angular rate
 #: rad/s, largest mean of an axis of the gyroscopes at rest: bias and not a turn, nor deg/s taken for rad/s. Biases of
 #: cheap ones stay below; how much samples scatter says nothing of it, and the next start has another bias
 LARGEST_BIAS = 0.05
-#: the same in standard deviations of the bias, where the parameters state larger biases
+#: the same in standard deviations of the bias, where the parameters state larger ones: more than five sigma is no
+#: bias. With the default sigma of 0.01 rad/s both limits are the same
 BIAS_SIGMAS = 5.0
 #: number of blocks needed to decide whether a turn rate oscillates, as of a boat: fewer may be the first of a drive
 FEWEST_BLOCKS = 10

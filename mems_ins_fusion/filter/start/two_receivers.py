@@ -5,12 +5,12 @@ At rest the antennas tell it, too. But whether they are exchanged shows only in 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-#: rad: a heading is good enough to start with this standard deviation, as one from the magnetic field is
-HEADING_SIGMA = 0.15
+from .course import Course
+from .magnetic import HEADING_SIGMA
+
 #: s over which the vehicle has to go straight on: a robot at walking pace goes by more than its fixes are uncertain
 STRAIGHT_TIME = 1.0
 #: s between two fixes of the main receiver, at most, between which its place is interpolated, and from the latest place
@@ -18,8 +18,10 @@ STRAIGHT_TIME = 1.0
 LONGEST_GAP = 1.1
 #: rad by which the heading may change meanwhile: in a turn it is another one at the latest fix
 LARGEST_TURN = 0.1
-#: sigmas: by more the displacement has to differ from zero, and by no more the distance of the antennas from their arms
-MOVED, APART = 5.0, 3.0
+#: sigmas by which the displacement has to differ from zero: it then shows its direction to a fifth of a radian
+MOVED = 5.0
+#: sigmas by which the distance of the antennas differs from that of their arms at most: a chance of 0.3 % a pair
+APART = 3.0
 #: largest displacement to the side, as a share of that ahead: slip and noise. Antennas that are exchanged go backwards
 LARGEST_SIDEWAYS = 0.3
 #: m/s: the course of a faster vehicle soon shows its heading, and its speed has changed within STRAIGHT_TIME
@@ -28,17 +30,9 @@ SLOW_SPEED = 2.0
 SPEED_SIGMA = 0.3
 
 
-class Heading(NamedTuple):
-    """Heading of the vehicle and speed ahead at the latest fix, rad and m/s, each with its standard deviation."""
-
-    yaw: float
-    yaw_sigma: float
-    speed: float
-    speed_sigma: float
-
-
-def find_heading(positions: np.ndarray, places: np.ndarray, arm: np.ndarray, arm_sigma: float) -> Heading | None:
-    """The heading, None where it is not known to HEADING_SIGMA or not confirmed by the way that the vehicle goes.
+def find_heading(positions: np.ndarray, places: np.ndarray, arm: np.ndarray, arm_sigma: float) -> Course | None:
+    """Heading and speed at the latest fix; None where the heading is not known to HEADING_SIGMA, or not confirmed by
+    the way that the vehicle goes.
 
     positions, places: fixes (k, 4) and (m, 4) of the main and of a further receiver, time, s, ascending, north, east
     and sigma, m. arm: (2,) from the main antenna to the other, forward and right, m. arm_sigma: of each component.
@@ -67,5 +61,4 @@ def find_heading(positions: np.ndarray, places: np.ndarray, arm: np.ndarray, arm
     along, across = float(moved @ ahead), float(moved[1] * ahead[0] - moved[0] * ahead[1])
     if along < MOVED * noise or abs(across) > LARGEST_SIDEWAYS * along or along > SLOW_SPEED * interval:
         return None
-    return Heading(yaw, float(sigma[-1]) / length, along / interval,
-                   math.hypot(noise / interval, SPEED_SIGMA))
+    return Course(yaw, along / interval, float(sigma[-1]) / length, math.hypot(noise / interval, SPEED_SIGMA))
