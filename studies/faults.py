@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from scipy.signal import lfilter
 from vehicle import simulated
 
 from mems_ins_fusion.evaluation.comparison import truth_of
@@ -151,6 +152,25 @@ def _restarted(force, rate, inside, rng):
     rate[last:] += np.radians(rng.normal(0.0, 0.3, 3))
 
 
+def _force_off(force, rate, inside, rng):
+    force[inside, 0] += 1.0
+
+
+def _force_off_for_ever(force, rate, inside, rng):
+    """Known as wrong for the fault's duration only: after that the filter has to have found it."""
+    force[np.flatnonzero(inside)[0]:] += rng.normal(0.0, 0.5, 3)
+
+
+def _pitched(force, rate, inside, rng):
+    c, s = np.cos(np.radians(10.0)), np.sin(np.radians(10.0))
+    for values in (force, rate):
+        values[inside] = values[inside] @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def _creeping(force, rate, inside, rng):
+    rate[inside, 2] += np.radians(np.linspace(0.0, 1.5, np.count_nonzero(inside)))
+
+
 def _half_rate(imu, inside, rng):
     return imu.select(~inside | (np.arange(len(imu)) % 2 == 0))
 
@@ -183,6 +203,29 @@ def _drifting(rate):
         since = (fixes.stamp - fixes.stamp[np.flatnonzero(inside)[0]]) * 1e-9
         return replace(fixes, latitude=fixes.latitude + np.where(inside, rate * since * METRE, 0.0))
     return change
+
+
+def _shifted(fixes, north, east):
+    """north, east: m, one each fix."""
+    return replace(fixes, latitude=fixes.latitude + north * METRE,
+                   longitude=fixes.longitude + east * METRE / np.cos(fixes.latitude))
+
+
+def _led_away(fixes, inside, rng):
+    """Away from the truth by 4 m/s to 40 m, in any direction, and on with that offset."""
+    since = (fixes.stamp - fixes.stamp[np.flatnonzero(inside)[0]]) * 1e-9
+    off, angle = inside * np.clip(4.0 * since, 0.0, 40.0), rng.uniform(0.0, 2.0 * np.pi)
+    return _shifted(fixes, off * np.cos(angle), off * np.sin(angle))
+
+
+def _wandering(fixes, inside, rng):
+    """A first-order Gauss-Markov process of 20 s, 0 at its begin: multipath between houses."""
+    at = np.flatnonzero(inside)
+    keep = np.exp(-np.median(np.diff(fixes.stamp)) * 1e-9 / 20.0)
+    steps = 8.0 * np.sqrt(1.0 - keep * keep) * rng.standard_normal((2, len(at)))
+    off = np.zeros((2, len(fixes)))
+    off[:, at] = lfilter([1.0], [1.0, -keep], steps)
+    return _shifted(fixes, *off)
 
 
 def _tunnel_then_moved(tunnel, metres):
@@ -220,15 +263,12 @@ def _straight_on(fixes, inside, rng):
 def _outliers(fixes, inside, rng):
     hit = inside & (rng.random(len(fixes)) < 0.15)
     size, angle = rng.uniform(10.0, 60.0, len(fixes)), rng.uniform(0, 2 * np.pi, len(fixes))
-    return replace(fixes, latitude=fixes.latitude + hit * size * np.cos(angle) * METRE,
-                   longitude=fixes.longitude + hit * size * np.sin(angle) * METRE / np.cos(fixes.latitude))
+    return _shifted(fixes, hit * size * np.cos(angle), hit * size * np.sin(angle))
 
 
 def _scattered(sigma):
     def change(fixes, inside, rng):
-        north, east = sigma * inside * rng.standard_normal((2, len(fixes)))
-        return replace(fixes, latitude=fixes.latitude + north * METRE,
-                       longitude=fixes.longitude + east * METRE / np.cos(fixes.latitude))
+        return _shifted(fixes, *(sigma * inside * rng.standard_normal((2, len(fixes)))))
     return change
 
 
@@ -324,6 +364,12 @@ FAULTS = (
     of_aiding('wheels that slip by 3 m/s for 5 s', 5.0, 'speed', _slipping),
     of_imu('gyroscope z 5 deg/s off for 10 s while parked', 10.0, _biased, begin=_parked),
     of_imu('IMU that restarts with other biases', 3.0, _restarted),
+    of_imu('accelerometer x 1 m/s^2 off for 20 s', 20.0, _force_off),
+    of_imu('accelerometers off by 0.5 m/s^2 from now on', 30.0, _force_off_for_ever),
+    of_imu('mount pitched by 10 deg for 20 s', 20.0, _pitched),
+    of_imu('gyroscope z creeps to 1.5 deg/s in 20 s', 20.0, _creeping),
+    of_fixes('fixes 40 m off, reached in 10 s, for 40 s', 40.0, _led_away),
+    of_fixes('fixes wander by 8 m for 60 s', 60.0, _wandering),
 )
 
 
