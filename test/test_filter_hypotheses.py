@@ -11,7 +11,8 @@ from scipy.stats import chi2, multivariate_normal
 from test_filter_contradiction import BOTH, Drive, a_state
 
 from mems_ins_fusion.filter.bank import Bank
-from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, state_at
+from mems_ins_fusion.filter.measurements import acceleration
+from mems_ins_fusion.filter.memory import NAV, Event, Head, Nav, Verdict, state_at, velocity_variance
 from mems_ins_fusion.filter.trust import fix_drift
 from mems_ins_fusion.filter.trust.fix_drift import FORGETTING_TIME, FixDrift
 from mems_ins_fusion.filter.trust.hypotheses import (
@@ -118,6 +119,50 @@ def test_refused_fixes_that_do_not_fit_are_never_right():
     assert not any(judged(memory, r, np.array([20.0, 0.0]), float(time))[0] for time in range(1, 300))
 
 
+@pytest.mark.parametrize('interval', [0.2, 1.0])
+def test_right_fixes_of_a_wrong_imu_are_expected_as_a_vehicle_accelerates(interval):
+    # given a filter that uses no fixes, and an independent Kalman filter of its error: none at first but for P, and an
+    # acceleration that is white noise
+    _, memory, r = a_state()
+    n_navigation = int(memory[Head.N_NAVIGATION])
+    p = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
+    state, covariance = np.zeros((2, 2)), np.diag([memory[p], 0.5 * velocity_variance(memory, r)])
+    begin_refusing(memory, r, interval)
+    assert memory[r + Hypothesis.IMU_NATS] == pytest.approx(math.log(1.0 / 100.0))
+    step = np.array([[1.0, interval], [0.0, 1.0]])
+    noise = acceleration.DENSITY * np.array([[interval**3 / 3.0, interval**2 / 2.0], [interval**2 / 2.0, interval]])
+    scatter = 2.25 + 0.5 * (10.0 * UNDECLARED_OFFSET) ** 2
+    widened = S + np.diag([(10.0 * UNDECLARED_OFFSET) ** 2, 0.0])
+    # when fixes come from which the filter departs with 1 m/s^2
+    for k in range(1, 12):
+        z = np.array([0.4, -0.3]) + 0.5 * np.array([0.8, 0.6]) * (k * interval) ** 2
+        before = memory[r + Hypothesis.IMU_NATS]
+        _, nats = judged(memory, r, z, k * interval)
+        state, covariance = step @ state, step @ covariance @ step.T + noise
+        s = covariance[0, 0] + scatter
+        density = ((1.0 - OUTLIER_SHARE) * multivariate_normal(mean=state[0], cov=s * np.eye(2)).pdf(z)
+                   + OUTLIER_SHARE * anywhere(z, widened))
+        gain = covariance[:, :1] / s
+        state, covariance = state + gain @ (z - state[0])[None, :], covariance - gain @ covariance[:1]
+        # then each is as likely where the IMU is wrong as that says, and the other statement as the score says
+        gained = interval / SHORTEST_CORRELATION * math.log(density) - nats
+        assert memory[r + Hypothesis.IMU_NATS] - before == pytest.approx(gained)
+    np.testing.assert_allclose(memory[r + Hypothesis.IMU_DRIFT:r + Hypothesis.IMU_DRIFT + 2], state[1])
+
+
+@pytest.mark.parametrize('offset', [lambda t: 30.0 + 0.0 * t, lambda t: 3.0 * t, lambda t: 0.0 * t])
+def test_an_offset_a_drift_and_none_are_not_laid_to_the_imu(offset):
+    # given fixes that are off by a constant, or by more and more, or right, and the errors of a receiver
+    _, memory, r = a_state()
+    begin_refusing(memory, r, 1.0)
+    rng = np.random.default_rng(6)
+    for k in range(1, 40):
+        judged(memory, r, np.array([offset(float(k)), 0.0]) + 1.5 * rng.standard_normal(2), float(k))
+        if memory[r + Hypothesis.FIXES_WRONG] == 0.0:
+            break
+        assert memory[r + Hypothesis.IMU_NATS] < 0.0
+
+
 def test_a_correction_of_the_state_is_none_of_the_fixes():
     # given a filter that takes fixes for wrong, which are 20 m off and go on so
     _, memory, r = a_state()
@@ -142,14 +187,14 @@ def test_refused_fixes_are_as_likely_right_as_wrong_after_the_recovery_time():
     assert nats == pytest.approx([RESTART_PENALTY, RESTART_PENALTY / 2, 0.0])
 
 
-def test_the_published_ellipse_reaches_to_a_filter_that_may_be_right():
-    # given two filters 30 m apart, the probability of the second 0.5, 0.02 and 0.001
+def test_the_published_ellipse_reaches_to_the_far_side_of_one_that_may_be_right():
+    # given two filters 30 m apart, the second to 2 m, its probability 0.5, 0.02 and 0.0005
     radius = math.sqrt(chi2.ppf(0.95, 2))
-    assert radius * reach(0.5, 30.0) == pytest.approx(radius * math.sqrt(0.5))
-    assert radius * reach(0.02, 30.0) == pytest.approx(1.0)
-    assert reach(0.001, 30.0) == pytest.approx(math.sqrt(0.001))
+    assert reach(0.5, 30.0, 2.0) == pytest.approx(30.0 * math.sqrt(0.5))
+    assert radius * reach(0.02, 30.0, 2.0) == pytest.approx(30.0 + 2.0 * radius)
+    assert reach(0.0005, 30.0, 2.0) == pytest.approx(30.0 * math.sqrt(0.0005))
     # and one further away than a filter is taken by fixes that drift away
-    assert reach(0.02, 300.0) == pytest.approx(math.sqrt(0.02))
+    assert reach(0.02, 300.0, 2.0) == pytest.approx(300.0 * math.sqrt(0.02))
 
 
 @BOTH
@@ -167,6 +212,19 @@ def test_fixes_that_jump_and_come_back_are_left_and_the_ellipse_reaches_to_them(
     # and from 5 s on, when five fixes have been refused, to the end the 95 % ellipse reaches to the fixes
     disputed = slice(round(50 * 36.5), round(50 * 44.0))
     assert (math.sqrt(chi2.ppf(0.95, 2)) * sigma[disputed, 1] > 0.8 * 40.0).all()
+
+
+@BOTH
+@pytest.mark.parametrize('rate, noise', [(1.0, 0.5), (10.0, 1.5)])
+def test_an_accelerometer_that_is_off_is_left_and_not_the_fixes(mechanization, rate, noise):
+    # given an accelerometer ahead that shows 1 m/s^2 too much for 15 s: by it the vehicle would be 112 m off
+    drive = Drive(rate, noise)
+    drive.samples[1500:2250, 1] += 1.0
+    _, memory, error, _, _ = drive.through(mechanization)
+    # then the filter goes on without the IMU, and is with the fixes before the accelerometer is right again
+    assert newest(memory)[Nav.DIVERGENCES] == 1.0
+    off = np.hypot(*error.T)
+    assert off.max() < 0.25 * 112.0 and off[round(50 * 45.0):].max() < 4.0
 
 
 @BOTH

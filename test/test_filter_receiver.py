@@ -527,9 +527,9 @@ def test_noise_of_the_accelerometers_that_only_the_fixes_show_is_learned(scatter
         assert not np.any(verdicts(records) == Verdict.EXTRAPOLATED)
     # then the noise is, to a factor, what such errors are to the velocity over seconds, 2 sigma^2 tau
     assert all(0.1 * 0.36 < q < 1.5 * 0.36 for q in learned), learned
-    # and the filter is near the fixes, from which it was carried away without that: a second behind one it is off by
-    # what that scatters and by 0.2 m, what the accelerometers err by
-    assert np.max(rms) < np.hypot(1.2, 0.2 / scatter) < 0.5 * np.min(alone), (rms, alone)
+    # and the filter is near the fixes, a second behind one off by what that scatters and by 0.2 m, what the
+    # accelerometers err by. Without that it is carried away, and at last takes the IMU for wrong
+    assert np.max(rms) < np.hypot(1.2, 0.2 / scatter) < np.min(alone), (rms, alone)
 
 
 def test_accelerometers_that_are_as_configured_have_no_noise_beside_that():

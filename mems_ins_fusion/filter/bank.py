@@ -32,8 +32,9 @@ from .memory import (
     velocity_state,
     yaw_state,
 )
-from .trust import extrapolation, fix_drift, hypotheses, new_start
+from .trust import extrapolation, fix_drift, hypotheses, imu_faults, new_start
 from .trust.extrapolation import Extrapolation
+from .trust.force_noise import learn_from_velocity
 from .trust.hypotheses import Hypothesis
 from .trust.receiver import CLAIM_CHANGE, Receiver, excess_scatter
 from .trust.scale import Scale
@@ -99,9 +100,9 @@ def compare(memory):
     if excess_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]:
         # fixes scatter that much more than was known when they did not fit: they are no longer wrong or refused
         memory[r + Hypothesis.FIXES_WRONG] = memory[r + Hypothesis.VARIANCE] = memory[Bank.OPEN] = 0.0
-        for i in range(4):
-            memory[r + Hypothesis.SPREAD + i] = 0.0
+        _publish_both(memory, other, r, 0.0)
         return
+    _start_without_imu(memory, other, r)
     if other[r + Hypothesis.FIXES_WRONG] == 0.0 and other[r + Hypothesis.VARIANCE] != 0.0:
         # it takes fixes for right again: from now on it is judged by them, as the first
         other[r + Hypothesis.VARIANCE] = 0.0
@@ -127,11 +128,27 @@ def compare(memory):
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
     if not fixes_wrong and lead > hypotheses.LOST_NATS or _agree(memory, other, r):
         memory[Bank.OPEN] = share = 0.0
+    _publish_both(memory, other, r, share)
+
+
+@njit(_nrt=False)
+def _publish_both(memory, other, r, share):
+    """Write to the state at r how far the published covariance reaches to the other filter, whose probability is
+    `share` (`Hypothesis.SPREAD`)."""
+    n_navigation, spread = int(memory[Head.N_NAVIGATION]), r + Hypothesis.SPREAD
+    p = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
     north, east = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
-    sigma, spread = hypotheses.reach(share, math.hypot(north, east)), r + Hypothesis.SPREAD
-    memory[spread], memory[spread + 1] = sigma * north, sigma * east
-    memory[spread + 2], memory[spread + 3] = sigma * (its[2] - mine[2]), sigma * (its[3] - mine[3])
+    distance = math.hypot(north, east)
+    for i in range(4):
+        memory[spread + i] = 0.0
+    if share == 0.0 or distance == 0.0:
+        return
+    sigma = math.sqrt(0.5 * (other[p] + other[p + packed(1, 1, n_navigation)]))
+    times = hypotheses.reach(share, distance, sigma) / distance
+    memory[spread], memory[spread + 1] = times * north, times * east
+    times = min(times, 1.0)  # where both are at the same place, as far as is known, the other's velocity is enough
+    memory[spread + 2], memory[spread + 3] = times * (its[2] - mine[2]), times * (its[3] - mine[3])
 
 
 @njit(_nrt=False)
@@ -169,6 +186,40 @@ def _start_from_fixes(memory, other, r, interval):
     other[r + Hypothesis.START_DUE] = 0.0
     behind = hypotheses.restart_penalty(memory, memory[r + Nav.FIX_TIME] - begun)
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
+
+
+@njit(_nrt=False)
+def _start_without_imu(memory, other, r):
+    """Where it is most likely that the fixes are right and the IMU is wrong, the first filter starts anew from the
+    latest fix and does not use the IMU for a while, and the second assumes that the fixes are wrong."""
+    swapped = memory[r + Hypothesis.FIXES_WRONG] == 0.0
+    refusing, using = (other, memory) if swapped else (memory, other)
+    nats, time = refusing[r + Hypothesis.IMU_NATS], memory[r + Nav.FIX_TIME]
+    if (refusing[r + Hypothesis.FIXES_WRONG] == 0.0 or nats < 0.0
+            or hypotheses.score(refusing, r) + nats < hypotheses.score(using, r)
+            or imu_faults.is_contradicted(using, r, time)):
+        return
+    newest, k = int(memory[Head.SAMPLES]), _before(refusing, time)
+    before = refusing[state_at(refusing, k) + Nav.TIME]
+    if before >= time or before < refusing[Head.FORGOTTEN]:
+        return
+    if swapped:
+        _swap(memory, other)
+    again, latest = other[r + Nav.DIVERGENCES], other[r + Nav.DIVERGENCE_TIME]
+    _copy(memory, other, _before(memory, before - memory[Head.MAX_DELAY]))
+    start = state_at(other, k)
+    for i in range(Hypothesis.IMU_OFFSET, Hypothesis.IMU_VARIANCE + 3):  # with what the latest fix has told
+        other[start + i] = memory[r + i]
+    other[start + Nav.DIVERGENCES], other[start + Nav.DIVERGENCE_TIME] = again, latest
+    other[start + Hypothesis.FIXES_WRONG], other[start + Hypothesis.START_DUE] = 0.0, 2.0
+    squared = 0.5 * (memory[r + Hypothesis.IMU_DRIFT] ** 2 + memory[r + Hypothesis.IMU_DRIFT + 1] ** 2)
+    learn_from_velocity(other, start, time, squared, time - memory[Bank.WRONG_SINCE])
+    other[Head.FORGOTTEN] = max(other[Head.FORGOTTEN], before)  # a late fix must not undo the start
+    for j in range(k + 1, newest + 1):
+        advance(other, j)
+    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] + nats
+    _swap(memory, other)
+    memory[Bank.SEARCHED] = 1.0
 
 
 @njit(_nrt=False)

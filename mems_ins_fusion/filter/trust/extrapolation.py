@@ -15,6 +15,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, ROW, Event, Head, Nav, Verdict
 from . import hypotheses
+from .hypotheses import Hypothesis
 from .receiver import CLAIM_CHANGE, realised_scatter
 from .standstill import moves
 
@@ -93,8 +94,10 @@ def is_extrapolated(mem, r, at, z_n, z_e):
             mem[begin + i] = mem[last + i]
     mem[last], mem[last + 1], mem[last + 2] = time, latitude, longitude
     departed = (z_n - mem[r + Extrapolation.MOVED]) ** 2 + (z_e - mem[r + Extrapolation.MOVED + 1]) ** 2
+    imu_is_right = mem[r + Nav.USE_ALL_FIXES] == 0.0 and mem[r + Nav.BRIDGED] == 0.0  # and used
     found = known and mem[r + Extrapolation.NATS] > math.log(TIME_BETWEEN_FAULTS / step) and (
-        mem[r + Extrapolation.REPORTED] != 0.0 or moves(mem, r) and departed > DEPARTED * DEPARTED * claimed)
+        mem[r + Extrapolation.REPORTED] != 0.0
+        or imu_is_right and moves(mem, r) and departed > DEPARTED * DEPARTED * claimed)
     if mem[Head.GATE] > 0.0 and found or mem[at + Event.WITHDRAWN] != 0.0:
         return True
     if not better:  # how it is off less how the one before it was, is the error of that
@@ -106,6 +109,7 @@ def is_extrapolated(mem, r, at, z_n, z_e):
 def refuse_fix(mem, r, at):
     """Refuse the fix at `at`, and report those before it that have been used to the kernel."""
     mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.EXTRAPOLATED, 0.0
+    mem[r + Hypothesis.START_DUE] = 0.0
     if mem[r + Extrapolation.REPORTED] == 0.0 and mem[at + Event.WITHDRAWN] == 0.0:
         mem[Wrong.SINCE] = mem[r + Extrapolation.SINCE]
     mem[r + Extrapolation.REPORTED] = 1.0

@@ -54,3 +54,14 @@ def learn_force_noise(mem, r, time, squared, white, p, tau, lasting, weight):
     known = min(math.exp(mem[r + ForceNoise.SCALE + Scale.LOG]) * part, MOST_OF_P * p)  # of it is in S already
     rest = max(white - known, LEAST_WHITE * white) + lasting
     learn(mem, r + ForceNoise.SCALE, time, squared, part, rest, 2, weight)
+
+
+@njit(_nrt=False)
+def learn_from_velocity(mem, r, time, squared, since):
+    """Learn from how far the velocity of a filter was off that used no fix for `since`, s, and whose IMU is wrong.
+
+    squared: mean square of the two components of that error, m^2/s^2. An IMU that is only noisier than its parameters
+    say is then used with that noise.
+    """
+    if mem[DriftSettings.LEARNED] != 0.0 and since > 0.0:
+        learn(mem, r + ForceNoise.SCALE, time, squared, ASSUMED * since, 0.0, 2)

@@ -1,4 +1,4 @@
-"""Two statements about the receiver where a fix does not fit, each a filter of its own, judged by their likelihood.
+"""Three statements where a fix does not fit, judged by their likelihood: about the receiver, and about the IMU.
 
 A copy of the filter's memory is a second filter. The logarithm of the likelihood of all fixes, and of the prior of what
 the filter says of them, is its *score*:
@@ -6,6 +6,10 @@ the filter says of them, is its *score*:
 * *They are right*, but for single ones that may be anywhere. How this filter uses a fix stands in `receiver.py`.
 * *They are wrong since t0*: the receiver is off by an offset that goes on as it did, with little acceleration, or jumps
   to anywhere (multipath, extrapolation, a wrong integer). This filter uses none of them until one is right again.
+* *They are right, and the IMU is wrong since t0*: the filter that uses no fixes is off by an offset that changes as a
+  vehicle accelerates. This needs no third filter: the likelihood of the fixes is that of a Kalman filter of the offset
+  and its drift beside the second one (`IMU_NATS`). Where it is the most likely, the published filter starts anew from
+  the fixes with the velocity that they show, and goes on without the IMU for a while (`imu_faults.is_contradicted`).
 
 The second is begun where a fix is so unlikely that the receiver may have failed, and ends where it has lost or both
 agree (`bank.py`). Where several fixes have been refused in a row, the published filter takes them for wrong, and the
@@ -21,8 +25,9 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
+from ..measurements import acceleration
 from ..measurements.base import UNDECLARED_OFFSET
-from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_state
+from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_state, velocity_variance
 
 #: of a state
 Hypothesis = ROW.place(
@@ -33,10 +38,14 @@ Hypothesis = ROW.place(
     FIXES_WRONG=1,  # 1: its hypothesis is that the fixes since some time are wrong; then
     OFFSET=2,  # m, north and east, predicted minus measured: by what they are off,
     DRIFT=2,  # m/s, by what that changes,
-    ENDED=1,  # how much more likely it is that they have been right again for some time than that they still are wrong,
     VARIANCE=3,  # of an offset, m^2, with its drift, m^2/s, and of that, m^2/s^2, the same for both axes; 0: none yet,
+    ENDED=1,  # how much more likely it is that they have been right again for some time than that they still are wrong,
+    IMU_NATS=1,  # nats, by which it is more likely that they are right, and the IMU is wrong since that time; then
+    IMU_OFFSET=2,  # m, north and east, by what this filter is off,
+    IMU_DRIFT=2,  # m/s, by what that changes,
+    IMU_VARIANCE=3,  # and their variances, as those of OFFSET and DRIFT
     AGAINST_START=1,  # 1: it is compared with a filter that has started anew from these fixes,
-    START_DUE=1,  # 1: the next fix is one that position and velocity start anew from,
+    START_DUE=1,  # 1: the next fix is one that position and velocity start anew from; 2: and the IMU is wrong,
     CONSISTENT=1,  # 1: it has refused no row of fixes since that start, or since it became the second filter
     SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
 
@@ -65,8 +74,9 @@ IMU_FAULT_PRIOR = math.log(1.0 / 3.6e5)
 #: nats: a filter that starts anew from refused fixes is less likely by this at first. It says that the fixes before
 #: were wrong: a fault ends as often as it begins, but few begin unnoticed
 RESTART_PENALTY = 4.5
-#: least probability of a hypothesis that the published 95 % ellipse holds
-LEAST_PROBABILITY = 0.01
+#: least probability of a hypothesis that the published 95 % ellipse holds: by ten times as wrong as the priors, which
+#: are rates that differ from receiver to receiver, it is still one in a hundred
+LEAST_PROBABILITY = 0.001
 #: sigmas of a 95 % ellipse: the root of the 95 % quantile of chi-square with 2 degrees of freedom
 ELLIPSE_SIGMAS = math.sqrt(-2.0 * math.log(0.05))
 #: nats: a hypothesis that is less likely by more is dropped
@@ -107,8 +117,11 @@ def score_fix(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
     scatter = factor * r_nn
     if mem[r + Hypothesis.AGAINST_START] == 0.0:
         scatter, n, e = scatter + 0.5 * (n * n + e * e), 0.0, 0.0
+    imu_wrong = _density_if_imu_wrong(mem, r, z_n, z_e, scatter, n, e, anywhere, interval)
     wrong = _density_if_wrong(mem, r, z_n, z_e, scatter, n, e, anywhere, interval)
-    mem[r + Hypothesis.SCORE] += counts * math.log(ended * right + (1.0 - ended) * wrong)
+    likelihood = ended * right + (1.0 - ended) * wrong
+    mem[r + Hypothesis.SCORE] += counts * math.log(likelihood)
+    mem[r + Hypothesis.IMU_NATS] += counts * math.log(imu_wrong / likelihood)
     # a filter that has used them since they were right again would have predicted this one as well as their offset does
     mem[r + Hypothesis.ENDED] += ended * right / wrong
     is_right = mem[r + Hypothesis.ENDED] > 1.0 - ended
@@ -146,51 +159,95 @@ def restart_penalty(mem, since):
 
 
 @njit(_nrt=False)
-def reach(share, distance):
-    """Sigmas by which the published covariance reaches to another filter, whose probability is `share`.
+def reach(share, distance, sigma):
+    """Sigma, m, that the other filter adds to the published position in its direction; share: its probability.
 
-    That of the mixture of both, but no less than a 95 % ellipse that has the other filter in it: where that is possible
-    to one in a hundred, and not further away, `distance` m, than fixes that drift away take a filter.
+    That of the mixture of both, but no less than with a 95 % ellipse that reaches to the far side of its own: where it
+    is possible (LEAST_PROBABILITY), and not further away than fixes that drift away take a filter. distance: m, from
+    one filter to the other; sigma: m, of the other.
     """
     possible = share * math.exp(-0.5 * (distance * FAULT_END_RATE / DRIFT_SIGMA) ** 2)
-    return max(math.sqrt(share), 1.0 / ELLIPSE_SIGMAS if possible > LEAST_PROBABILITY else 0.0)
+    far_side = distance / ELLIPSE_SIGMAS + sigma if possible > LEAST_PROBABILITY else 0.0
+    return max(math.sqrt(share) * distance, far_side)
 
 
 @njit(_nrt=False)
 def _density_if_wrong(mem, r, z_n, z_e, r_nn, late_n, late_e, anywhere, interval):
     """Density, 1/m^2, of a fix that is off by z of a wrong receiver, from which its offset is learned. r_nn: m^2, of
     the scatter about that; late: m, one sigma of what an undeclared time offset adds, along the velocity."""
-    offset, drift, variance = r + Hypothesis.OFFSET, r + Hypothesis.DRIFT, r + Hypothesis.VARIANCE
-    jumped = mem[variance] == 0.0
+    at = r + Hypothesis.OFFSET
+    jumped = mem[r + Hypothesis.VARIANCE] == 0.0
     density = anywhere
     if not jumped:
-        mem[variance] += interval * (2.0 * mem[variance + 1] + interval * mem[variance + 2] + OFFSET_WALK)
-        mem[variance + 1] += interval * mem[variance + 2]
-        mem[variance + 2] += DRIFT_WALK * interval
-        s = mem[variance] + r_nn
-        mem[offset] += interval * mem[drift]
-        mem[offset + 1] += interval * mem[drift + 1]
-        n, e = z_n - mem[offset], z_e - mem[offset + 1]
+        _predict_offset(mem, at, interval, OFFSET_WALK, DRIFT_WALK)
         jumps = max(1.0 - math.exp(-JUMP_RATE * interval), OUTLIER_SHARE)
-        along = s + late_n * late_n + late_e * late_e
-        nis = (n * n + e * e - (late_n * n + late_e * e) ** 2 / along) / s
-        goes_on = (1.0 - jumps) * math.exp(-0.5 * min(nis, 1000.0)) / (2.0 * math.pi * math.sqrt(s * along))
+        goes_on = (1.0 - jumps) * _offset_density(mem, at, z_n, z_e, r_nn, late_n, late_e)
         density = goes_on + jumps * anywhere
         jumped = goes_on < jumps * anywhere
         if not jumped:
-            gain, drift_gain = mem[variance] / s, mem[variance + 1] / s
-            mem[offset] += gain * n
-            mem[offset + 1] += gain * e
-            mem[drift] += drift_gain * n
-            mem[drift + 1] += drift_gain * e
-            mem[variance + 2] -= drift_gain * mem[variance + 1]
-            mem[variance + 1] *= 1.0 - gain
-            mem[variance] *= 1.0 - gain
+            _correct_offset(mem, at, z_n, z_e, r_nn)
     if jumped:
-        mem[offset], mem[offset + 1], mem[drift], mem[drift + 1] = z_n, z_e, 0.0, 0.0
-        mem[variance], mem[variance + 1] = r_nn, 0.0
-        mem[variance + 2] = DRIFT_SIGMA**2
+        _set_offset(mem, at, z_n, z_e, r_nn, DRIFT_SIGMA**2)
     return density
+
+
+@njit(_nrt=False)
+def _density_if_imu_wrong(mem, r, z_n, z_e, r_nn, late_n, late_e, anywhere, interval):
+    """Density, 1/m^2, of the same fix where it is right and the IMU is wrong, from which the filter's error is learned.
+
+    That begins at none, or with the first fix where that does not fit, and changes by what a vehicle accelerates. To be
+    called before `_density_if_wrong`, which marks the first fix.
+    """
+    at = r + Hypothesis.IMU_OFFSET
+    _predict_offset(mem, at, interval, 0.0, acceleration.DENSITY)
+    fits = (1.0 - OUTLIER_SHARE) * _offset_density(mem, at, z_n, z_e, r_nn, late_n, late_e)
+    outlier = OUTLIER_SHARE * anywhere
+    if mem[r + Hypothesis.VARIANCE] == 0.0 and fits < anywhere:  # it has been wrong for longer
+        _set_offset(mem, at, z_n, z_e, r_nn, DRIFT_SIGMA**2)
+        return anywhere
+    if fits > outlier:
+        _correct_offset(mem, at, z_n, z_e, r_nn)
+    return fits + outlier
+
+
+@njit(_nrt=False)
+def _set_offset(mem, at, north, east, variance, drift_variance):
+    """An offset, m, with these variances, m^2 and m^2/s^2, and a drift of none, to the seven columns at `at`."""
+    mem[at], mem[at + 1], mem[at + 2], mem[at + 3] = north, east, 0.0, 0.0
+    mem[at + 4], mem[at + 5], mem[at + 6] = variance, 0.0, drift_variance
+
+
+@njit(_nrt=False)
+def _predict_offset(mem, at, interval, offset_walk, drift_walk):
+    """Predict the offset and its drift at `at` by `interval`, s; walk: of both, m^2/s and m^2/s^3."""
+    mem[at + 4] += interval * (offset_walk + 2.0 * mem[at + 5] + interval * (mem[at + 6] + drift_walk * interval / 3.0))
+    mem[at + 5] += interval * (mem[at + 6] + 0.5 * drift_walk * interval)
+    mem[at + 6] += drift_walk * interval
+    mem[at] += interval * mem[at + 2]
+    mem[at + 1] += interval * mem[at + 3]
+
+
+@njit(_nrt=False)
+def _offset_density(mem, at, z_n, z_e, r_nn, late_n, late_e):
+    """Density, 1/m^2, of a fix that is off by z where it is off by the offset at `at`."""
+    s, n, e = mem[at + 4] + r_nn, z_n - mem[at], z_e - mem[at + 1]
+    along = s + late_n * late_n + late_e * late_e
+    nis = (n * n + e * e - (late_n * n + late_e * e) ** 2 / along) / s
+    return math.exp(-0.5 * min(nis, 1000.0)) / (2.0 * math.pi * math.sqrt(s * along))
+
+
+@njit(_nrt=False)
+def _correct_offset(mem, at, z_n, z_e, r_nn):
+    """Learn the offset at `at` and its drift from a fix that is off by z."""
+    s, n, e = mem[at + 4] + r_nn, z_n - mem[at], z_e - mem[at + 1]
+    gain, drift_gain = mem[at + 4] / s, mem[at + 5] / s
+    mem[at] += gain * n
+    mem[at + 1] += gain * e
+    mem[at + 2] += drift_gain * n
+    mem[at + 3] += drift_gain * e
+    mem[at + 6] -= drift_gain * mem[at + 5]
+    mem[at + 5] *= 1.0 - gain
+    mem[at + 4] *= 1.0 - gain
 
 
 @njit(_nrt=False)
@@ -198,9 +255,22 @@ def begin_refusing(mem, r, interval):
     """The filter with the state at r says from now on that the fixes are wrong. interval: s between fixes."""
     mem[r + Hypothesis.FIXES_WRONG] = 1.0
     mem[r + Hypothesis.VARIANCE] = mem[r + Hypothesis.AGAINST_START] = mem[r + Hypothesis.ENDED] = 0.0
+    mem[r + Hypothesis.START_DUE] = 0.0
     for i in range(2):
         mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
+    p = r + NAV + int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
+    mem[r + Hypothesis.IMU_NATS] = IMU_FAULT_PRIOR - math.log(FAULT_RATE)
+    _set_offset(mem, r + Hypothesis.IMU_OFFSET, 0.0, 0.0, mem[p], 0.5 * velocity_variance(mem, r))
     mem[r + Hypothesis.SCORE] += math.log(FAULT_RATE * min(max(interval, SHORTEST_CORRELATION), LONGEST_INTERVAL))
+
+
+@njit(_nrt=False)
+def velocity_if_imu_wrong(mem, r):
+    """North and east velocity, m/s, and their variance, m^2/s^2, as the fixes that the filter with the state at r has
+    not used show it where they are right and the IMU is wrong."""
+    _, _, v_n, v_e = position_and_velocity(mem, r)
+    return (v_n - mem[r + Hypothesis.IMU_DRIFT], v_e - mem[r + Hypothesis.IMU_DRIFT + 1],
+            mem[r + Hypothesis.IMU_VARIANCE + 2])
 
 
 @njit(_nrt=False)
@@ -254,7 +324,9 @@ def move_offset(mem, r, before):
     """A correction that is not a fix has moved the state at r from where `position_and_velocity` had it `before`: by
     that, wrong fixes are off from another position and velocity."""
     if mem[r + Hypothesis.FIXES_WRONG] != 0.0 and mem[r + Hypothesis.VARIANCE] != 0.0:
-        add_move(mem, r, r + Hypothesis.OFFSET, before, position_and_velocity(mem, r))
+        after = position_and_velocity(mem, r)
+        add_move(mem, r, r + Hypothesis.OFFSET, before, after)
+        add_move(mem, r, r + Hypothesis.IMU_OFFSET, before, after)
 
 
 @njit(_nrt=False)

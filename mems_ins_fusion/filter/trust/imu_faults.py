@@ -70,8 +70,9 @@ FEWEST_STUCK = 5.0
 #: share of the samples: the digits of axes that change more rarely are coarse
 ALWAYS = 0.9
 #: s: a filter that has diverged from fixes that were right does not use the IMU for so long, twice as long each
-#: further time
-CONTRADICTED_TIME = 60.0
+#: further time. Longer than a fault that passes (a kerb, a driver that restarts); with 60 s errors are as large, and
+#: the filter is without an IMU for twice as long
+CONTRADICTED_TIME = 30.0
 
 
 @njit(_nrt=False)

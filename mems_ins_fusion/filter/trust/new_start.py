@@ -146,9 +146,13 @@ def start_anew(mem, r, at):
     The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
     """
     # where it may as well be the fixes that are wrong, nothing is said against the IMU
-    diverged = mem[r + Hypothesis.START_DUE] == 0.0 and _diverged(mem, r, mem[at + Event.TIME])
-    mem[r + Hypothesis.START_DUE] = 0.0
-    v_n, v_e, drift = _velocity_of_fixes(mem, r, at, diverged)
+    due, mem[r + Hypothesis.START_DUE] = mem[r + Hypothesis.START_DUE], 0.0
+    if due == 2.0:
+        diverged = True
+        v_n, v_e, drift = hypotheses.velocity_if_imu_wrong(mem, r)
+    else:
+        diverged = due == 0.0 and _diverged(mem, r, mem[at + Event.TIME])
+        v_n, v_e, drift = _velocity_of_fixes(mem, r, at, diverged)
     if diverged:
         again = mem[r + Nav.DIVERGENCES] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.DIVERGENCE_TIME] < AGAIN_WITHIN
         mem[r + Nav.DIVERGENCES] = mem[r + Nav.DIVERGENCES] + 1.0 if again else 1.0
@@ -202,10 +206,12 @@ def _since_last_fix(mem, r, at):
 def _fix_variance(mem, r, at):
     """Variance of the fix at `at`, both components, m^2: as fixes have been seen to scatter, or as the refused ones
     scatter about their line, where that is more."""
+    variance = excess_scatter(mem, r) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    if mem[r + Nav.REFUSED] == 0.0:
+        return variance
     _, _, spread, _ = _line(mem, r)
     # each component's line has two numbers that are fitted to them
-    scatter = spread * mem[r + Nav.REFUSED] / max(mem[r + Nav.REFUSED] - 2.0, 1.0)
-    return max(excess_scatter(mem, r) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]), scatter)
+    return max(variance, spread * mem[r + Nav.REFUSED] / max(mem[r + Nav.REFUSED] - 2.0, 1.0))
 
 
 @njit(_nrt=False)
