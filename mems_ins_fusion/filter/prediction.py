@@ -157,12 +157,15 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
 
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_planar(mem, dt, f_n, f_e, c, s, nonnegative(m), nonnegative(p))
-    # Phi P, four columns at once
-    rows = _sensor_rows(mem, src, 5, 3, m, p)
-    for block in range((n + LANES - 1) // LANES):
-        j = nonnegative(min(LANES * block, n - LANES))  # the last block may overlap with the one before it
-        _put(mem, dst + a + j, n, _planar_columns(mem, dt, f_n, f_e, c, s, src + a + j, rows + j, n))
-    g = nonnegative(dst + a)
+    g, e = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(src + a + 5 * n)
+    rows = g + 5 * n
+    _sensor_rows(mem, src + a, rows, 5, 3, n, p)
+    if m < LANES:
+        for j in range(m):
+            _store(mem, g + 5 + j, n, _planar_column(mem, dt, f_n, f_e, c, s, src + a + 5 + j, n, e + j, m * p))
+    for block in range(2 + (0 if m < LANES else _blocks(m))):
+        j, q, step = _block(block, 5, m, p, rows, e)
+        _put(mem, g + j, n, _planar_columns(mem, dt, f_n, f_e, c, s, src + a + j, n, q, step))
     (g00, g01, g02, g03, g04), (g10, g11, g12, g13, g14) = _row(mem, g), _row(mem, g + n)
     (g20, g21, g22, g23, g24), (g30, g31, g32, g33, g34) = _row(mem, g + 2 * n), _row(mem, g + 3 * n)
     g40, g41, g42, g43, g44 = _row(mem, g + 4 * n)
@@ -185,12 +188,13 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
         mem[x + 3 * n] + nx * s, mem[y + 3 * n] + ny * c, mem[w + 3 * n] + nw * h * f_n)
     _, _, _, _, a44 = planar.error_step(dt, f_n, f_e, c, s, g40, g41, g42, g43, g44,
                                         mem[x + 4 * n], mem[y + 4 * n], mem[w + 4 * n] + nw)
-    _store(mem, g, (a00, a01, a02, a03, a04))
-    _store(mem, g + n + 1, (a11, a12, a13, a14))
-    _store(mem, g + 2 * n + 2, (a22, a23, a24))
-    _store(mem, g + 3 * n + 3, (a33, a34))
-    mem[g + 4 * n + 4] = a44
-    _mirror(mem, g, 5, n)
+    to = nonnegative(dst + a)
+    _store(mem, to, 1, (a00, a01, a02, a03, a04))
+    _store(mem, to + n + 1, 1, (a11, a12, a13, a14))
+    _store(mem, to + 2 * n + 2, 1, (a22, a23, a24))
+    _store(mem, to + 3 * n + 3, 1, (a33, a34))
+    mem[to + 4 * n + 4] = a44
+    _mirror(mem, to, 5, n)
     _sensor_states(mem, src, dst, dt, 5, m, p)
 
 
@@ -200,38 +204,55 @@ def _row(mem, at):
 
 
 @njit(inline='always')
-def _planar_columns(mem, dt, f_n, f_e, c, s, k, q, n):
-    """[F, B] times four columns that begin at k and, the rows of the sensor errors, at q; n elements in a row."""
+def _planar_columns(mem, dt, f_n, f_e, c, s, k, step, q, sensor_step):
+    """`_planar_column` of the column that it is asked for and of the three behind it."""
     return planar.error_step(
-        dt, f_n, f_e, c, s, four(mem, k), four(mem, k + n), four(mem, k + 2 * n), four(mem, k + 3 * n),
-        four(mem, k + 4 * n), four(mem, q), four(mem, q + n), four(mem, q + 2 * n))
+        dt, f_n, f_e, c, s, four(mem, k), four(mem, k + step), four(mem, k + 2 * step), four(mem, k + 3 * step),
+        four(mem, k + 4 * step), four(mem, q), four(mem, q + sensor_step), four(mem, q + 2 * sensor_step))
 
 
 @njit(inline='always')
-def _strapdown_columns(mem, transition, k, q, n):
+def _strapdown_columns(mem, transition, k, step, q, sensor_step):
     """`_planar_columns` for the strapdown mechanization."""
     return strapdown.error_step(
-        transition, (four(mem, k), four(mem, k + n), four(mem, k + 2 * n)),
-        (four(mem, k + 3 * n), four(mem, k + 4 * n), four(mem, k + 5 * n)),
-        (four(mem, k + 6 * n), four(mem, k + 7 * n), four(mem, k + 8 * n)),
-        (four(mem, q), four(mem, q + n), four(mem, q + 2 * n)),
-        (four(mem, q + 3 * n), four(mem, q + 4 * n), four(mem, q + 5 * n)))
+        transition, (four(mem, k), four(mem, k + step), four(mem, k + 2 * step)),
+        (four(mem, k + 3 * step), four(mem, k + 4 * step), four(mem, k + 5 * step)),
+        (four(mem, k + 6 * step), four(mem, k + 7 * step), four(mem, k + 8 * step)),
+        (four(mem, q), four(mem, q + sensor_step), four(mem, q + 2 * sensor_step)),
+        (four(mem, q + 3 * sensor_step), four(mem, q + 4 * sensor_step), four(mem, q + 5 * sensor_step)))
 
 
 @njit(inline='always')
-def _sensor_rows(mem, src, size, channels, m, p):
-    """Write the rows of P that belong to the sensors' errors to the scratch, (channels, n), and return where. size:
-    number of navigation errors."""
-    n, rows = size + m, nonnegative(int(mem[Head.SCRATCH_AT]))
-    a = nonnegative(src + NAV + n)
-    e = a + size * n
-    for k in range(channels):
-        line = rows + n * k
-        for i in range(size):
-            mem[line + i] = mem[a + n * i + size + k * p]
-        for j in range(m):
-            mem[line + size + j] = mem[e + m * k * p + j]
-    return rows
+def _sensor_rows(mem, p_at, to, size, channels, n, p):
+    """Write the rows of P that belong to the sensors' errors, (channels, size), which P has above its diagonal only.
+
+    p_at: position of P. size: number of navigation errors.
+    """
+    for i in range(size):
+        line = nonnegative(p_at + n * i + size)
+        for k in range(channels):
+            mem[to + size * k + i] = mem[line + k * p]
+
+
+@njit(inline='always')
+def _blocks(count):
+    """How many times LANES are enough for `count`."""
+    return (count + LANES - 1) // LANES
+
+
+@njit(inline='always')
+def _block(block, size, m, p, rows, e):
+    """The first of four columns of P, and where the rows of the sensors' errors have them: position and step.
+
+    First come the `size` navigation errors, whose rows are at `rows`, then the m augmented states, at e. The last four
+    of each may overlap with those before them.
+    """
+    first = _blocks(size)
+    if block < first:
+        j = min(LANES * block, size - LANES)
+        return j, rows + j, size
+    j = min(LANES * (block - first), m - LANES)
+    return size + j, e + j, m * p
 
 
 @njit(inline='always')
@@ -367,21 +388,19 @@ def _decays(mem, at, dt, m):
 def _sensor_states(mem, src, dst, dt, size, m, p):
     """Predict x and P of the m augmented states, which follow `size` navigation errors, with the steps of AR(p).
 
-    Their columns in dst already contain the prediction by the navigation rows of Phi.
+    At the begin of the scratch is Phi P, navigation rows of Phi.
     """
     x, n = NAV + size, size + m
     a = NAV + n
     e = a + size * n
-    decays = nonnegative(int(mem[Head.SCRATCH_AT]))
+    g = nonnegative(int(mem[Head.SCRATCH_AT]))
+    decays = g + size * n
     scaled = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # number of states whose process noise trust/drift.py scales
     _decays(mem, decays, dt, m)
-    for i in range(size):
-        cross = nonnegative(dst + a + n * i + size)
-        _times_decays(mem, cross, cross, 1.0, decays, m)
+    _decay_augmented(mem, g + size, dst + a + size, size, n, src + e, dst + e, decays, m)
     for j in range(m):
         decay, row = mem[decays + j], nonnegative(dst + e + m * j)
         mem[dst + x + j] = decay * mem[src + x + j]
-        _times_decays(mem, row, nonnegative(src + e + m * j), decay, decays, m)  # symmetric to the last bit
         drift = mem[src + Drift.RATIO + (j > 2)] if j < scaled else 1.0
         mem[row + j] += drift * (mem[walk_at(m, j)] * dt
                                  + mem[variance_at(m, j)] * (1.0 - decay * decay))
@@ -393,13 +412,26 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
 
 
 @njit(inline='always')
-def _times_decays(mem, to, source, factor, decays, m):
-    """Write to `to` the m elements at `source` times the m at `decays` times a factor."""
-    for block in range(m // LANES):
-        i = LANES * block
-        put(mem, to + i, factor * four(mem, decays + i) * four(mem, source + i))
-    for i in range(LANES * (m // LANES), m):
-        mem[to + i] = factor * mem[decays + i] * mem[source + i]
+def _decay_augmented(mem, cross, cross_to, size, n, own, own_to, decays, m):
+    """P Phi^T of the m augmented states' columns, which decay by what is at `decays`.
+
+    cross: position of the first of `size` rows, n apart, of the navigation errors. own: of the block (m, m), whose rows
+    decay as well. The results go to cross_to and own_to, symmetric to the last bit.
+    """
+    if m < LANES:
+        for j in range(m):
+            for i in range(size):
+                mem[cross_to + n * i + j] = mem[decays + j] * mem[cross + n * i + j]
+            for i in range(m):
+                mem[own_to + m * i + j] = mem[decays + i] * mem[decays + j] * mem[own + m * i + j]
+        return
+    for block in range(_blocks(m)):
+        j = min(LANES * block, m - LANES)
+        decay = four(mem, decays + j)
+        for i in range(size):
+            put(mem, cross_to + n * i + j, decay * four(mem, cross + n * i + j))
+        for i in range(m):
+            put(mem, own_to + m * i + j, mem[decays + i] * decay * four(mem, own + m * i + j))
 
 
 @njit(_nrt=False, fastmath={'contract'})
@@ -490,15 +522,17 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         for i in range(9):
             mem[dst + NAV + i] = 0.0
     else:
-        _store(mem, dst + NAV, _strapdown_column(mem, transition, src + NAV, 1, src + x, p))
+        _store(mem, dst + NAV, 1, _strapdown_column(mem, transition, src + NAV, 1, src + x, p))
 
-    # Phi P, four columns at once, then (Phi P) Phi^T, row by row. In the scratch: the sensors' rows of P, and at u
-    # their columns of Phi P with their white noise, which is treated as an error that is constant over dt
-    rows = _sensor_rows(mem, src, 9, 6, m, p)
-    for block in range((n + LANES - 1) // LANES):
-        j = nonnegative(min(LANES * block, n - LANES))  # the last block may overlap with the one before it
-        _put(mem, dst + a + j, n, _strapdown_columns(mem, transition, src + a + j, rows + j, n))
-    g, u = nonnegative(dst + a), rows + 6 * n
+    # Phi P, four columns at once, then (Phi P) Phi^T, row by row. In the scratch: Phi P at g, the sensors' rows of P,
+    # and at u their columns of Phi P with their white noise, which is treated as an error that is constant over dt
+    g, e = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(src + a + 9 * n)
+    rows = g + 9 * n
+    u = rows + 54
+    _sensor_rows(mem, src + a, rows, 9, 6, n, p)
+    for block in range(_blocks(9) + _blocks(m)):
+        j, q, step = _block(block, 9, m, p, rows, e)
+        _put(mem, g + j, n, _strapdown_columns(mem, transition, src + a + j, n, q, step))
     h = 0.5 * dt
     more = force_noise(mem, src)
     gyroscopes = nonnegative(src + x + 3 * p)  # their estimated errors, which w contains in open loop
@@ -515,16 +549,14 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
             h * turned[0], h * turned[1], h * turned[2], turned[0], turned[1], turned[2], x, y, z))
     # the result is symmetric: of the rows of velocity and attitude only the elements from the diagonal block on are
     # needed
+    to = nonnegative(dst + a)  # of the rows of velocity and attitude only what is not below the diagonal is needed
     for i in range(3):
-        line = g + n * i
-        _store(mem, line, _strapdown_column(mem, transition, line, 1, u + i, 9))
+        _store(mem, to + n * i, 1, _strapdown_column(mem, transition, g + n * i, 1, u + i, 9))
     for i in range(3, 6):
-        line = g + n * i
-        _store(mem, line + 3, _strapdown_column(mem, transition, line, 1, u + i, 9)[3:])
+        _store(mem, to + n * i + 3, 1, _strapdown_column(mem, transition, g + n * i, 1, u + i, 9)[3:])
     for i in range(6, 9):
-        line = g + n * i
-        _store(mem, line + 6, _strapdown_column(mem, transition, line, 1, u + i, 9)[6:])
-    _mirror(mem, g, 9, n)
+        _store(mem, to + n * i + 6, 1, _strapdown_column(mem, transition, g + n * i, 1, u + i, 9)[6:])
+    _mirror(mem, to, 9, n)
     _sensor_states(mem, src, dst, dt, 9, m, p)
 
 
@@ -543,7 +575,7 @@ def _put(mem, at, step, values):
 
 
 @njit(inline='always')
-def _store(mem, at, values):
-    """Write the values to at, at + 1, ..."""
+def _store(mem, at, step, values):
+    """Write the values to at, at + step, ..."""
     for i in range(len(values)):
-        mem[at + i] = values[i]
+        mem[at + step * i] = values[i]
