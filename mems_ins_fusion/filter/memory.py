@@ -168,8 +168,8 @@ class StateLayout:
 def nonnegative(position):
     """Return `position`, which is not negative, in a form in which the compiler knows that it is not negative.
 
-    Otherwise it would test at each use for a negative index (one from the end), which takes a third of the filter's
-    time.
+    Otherwise a numba that `compiled_parts` has not been tried with would test at each use for a negative index (one
+    from the end), which takes a third of the filter's time.
     """
     return position & 0x7FFFFFFFFFFFFFFF
 

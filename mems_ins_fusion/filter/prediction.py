@@ -84,8 +84,6 @@ def predict(mem, src, dst, sample, dt):
         _step_strapdown(mem, src, dst, sample, dt, m, p)
     elif m == 3 and p == 1:  # the paper's filters: with constant sizes the compiled code is a quarter faster
         _step_planar(mem, src, dst, sample, dt, 3, 1)
-    elif m == 6 and p == 2:
-        _step_planar(mem, src, dst, sample, dt, 6, 2)
     else:
         _step_planar(mem, src, dst, sample, dt, m, p)
     for k in range(Nav.MEMORY, NAV):
@@ -163,7 +161,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     if m < LANES:
         for j in range(m):
             _store(mem, g + 5 + j, n, _planar_column(mem, dt, f_n, f_e, c, s, src + a + 5 + j, n, e + j, m * p))
-    for block in range(2 + (0 if m < LANES else _blocks(m))):
+    for block in range(_blocks(5) + (0 if m < LANES else _blocks(m))):
         j, q, step = _block(block, 5, m, p, rows, e)
         _put(mem, g + j, n, _planar_columns(mem, dt, f_n, f_e, c, s, src + a + j, n, q, step))
     (g00, g01, g02, g03, g04), (g10, g11, g12, g13, g14) = _row(mem, g), _row(mem, g + n)
