@@ -49,7 +49,7 @@ _PACKAGES = ('navigation', 'filter', 'sensor_errors', 'characterization', 'effec
 def sources() -> list[Path]:
     """The files whose contents decide what compiled code is still good."""
     package = Path(__file__).parent
-    return [package / 'compiled_parts.py',
+    return [package / 'compiled_parts.py', package / 'compiled_lanes.py',
             *(source for folder in _PACKAGES for source in sorted((package / folder).rglob('*.py')))]
 
 

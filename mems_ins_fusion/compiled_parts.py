@@ -209,7 +209,7 @@ def _typing(context):
 
 class _Lower(lowering.Lower):
     """numba's writing of LLVM's code, with a short way for an element of an array of one dimension and for two numbers
-    of one type."""
+    of one type. In functions with `_nrt=False` a position is never negative: no element is counted from the end."""
 
     def lower_getitem(self, resty, expr, value, index, signature):
         place = self._place(value, index, signature)
@@ -237,7 +237,8 @@ class _Lower(lowering.Lower):
         model, whole = self.context.data_model_manager[kind], self.loadvar(array.name)
         size = self.builder.extract_value(whole, (model.get_field_position('shape'), 0))
         position = self.context.cast(self.builder, self.loadvar(index.name), self.typeof(index.name), at)
-        position = arrayobj.fix_integer_index(self.context, self.builder, at, position, size)
+        if self.flags.nrt:  # functions that make no arrays are those of the filter, which counts from the begin
+            position = arrayobj.fix_integer_index(self.context, self.builder, at, position, size)
         return self.builder.gep(self.builder.extract_value(whole, model.get_field_position('data')), [position])
 
     def lower_binop(self, resty, expr, op):

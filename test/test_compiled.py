@@ -115,6 +115,42 @@ print('right')
     assert (done.returncode, done.stdout) == (0, 'right\n'), done.stderr
 
 
+def test_four_numbers_at_once_are_what_each_alone_would_be(tmp_path):
+    # given a function of numbers and of fours, which also mixes both
+    script = tmp_path / 'probe.py'
+    script.write_text("""
+import numpy as np
+from mems_ins_fusion.compiled import njit
+from mems_ins_fusion.compiled_lanes import four, put
+
+@njit
+def step(scale, a, b, pair):
+    return scale * (a - 0.5 * b) + pair[0] * pair[1] - b, a * scale - 3 + b
+
+def at_once(values, scale):
+    results = step(scale, four(values, 0), four(values, 5), (four(values, 2), four(values, 9)))
+    for k in range(2):
+        put(values, 13 + 4 * k, results[k])
+
+compiled, given = njit(_nrt=False)(at_once), np.random.default_rng(1).standard_normal(22)
+alone = given.copy()
+for i in range(4):
+    alone[13 + i], alone[17 + i] = step(0.3, given[i], given[5 + i], (given[2 + i], given[9 + i]))
+for function in (at_once, compiled):
+    values = given.copy()
+    function(values, 0.3)
+    assert values.tobytes() == alone.tobytes(), values - alone
+print('right')
+""")
+    environment = {**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'cache'), 'PYTHONPATH': str(PACKAGE.parent)}
+    for disabled in ('0', '1'):
+        # when it is compiled, or Python's
+        done = subprocess.run([sys.executable, script], env={**environment, 'NUMBA_DISABLE_JIT': disabled}, text=True,
+                              capture_output=True)
+        # then the results are the same to the last bit
+        assert (done.returncode, done.stdout) == (0, 'right\n'), done.stderr
+
+
 def test_the_user_hears_that_it_compiles_and_how_long_it_took_the_last_time(probe):
     assert f'{SAYS_THAT_IT_COMPILES}, once for each version of it (about a minute)' in probe()
     assert probe() == ''

@@ -9,6 +9,17 @@ import pytest
 from filter_support import configure, newest, started
 
 from mems_ins_fusion.filter.columns import Part
+from mems_ins_fusion.filter.memory import (
+    INPUT_SIZE,
+    NAV,
+    PLANAR,
+    STRAPDOWN,
+    StateLayout,
+    covariance,
+    covariance_index,
+    row_width,
+    set_covariance,
+)
 from mems_ins_fusion.filter.trust.drift import Drift
 
 
@@ -43,3 +54,22 @@ def test_they_are_the_same_whatever_is_imported_first(module):
 def test_a_state_begins_with_them(mechanization):
     row = newest(started(configure(mechanization=mechanization)))
     assert row[[Drift.RATIO, Drift.RATIO + 1]].tolist() == [1.0, 1.0] and row[Drift.TIME] == 0.0
+
+
+@pytest.mark.parametrize(('mechanization', 'order', 'inputs'), [(PLANAR, 1, 0), (PLANAR, 2, 1), (STRAPDOWN, 1, 2),
+                                                                (STRAPDOWN, 3, 0)])
+def test_a_covariance_comes_back_as_it_was_and_each_element_stands_where_it_is_looked_for(mechanization, order, inputs):
+    # given a covariance that is symmetric but for its last digits, as products of matrices are
+    layout = StateLayout(mechanization, order, ('coloured_n', 'coloured_e'), inputs)
+    root = np.random.default_rng(3).standard_normal((layout.n, layout.n))
+    given = root @ root.T + 1e-15 * root
+    # when it is written to a state
+    row = np.zeros(row_width(layout))
+    set_covariance(row, layout, given)
+    # then it is that above the diagonal, and nothing else of the state has changed
+    read = covariance(row, layout)
+    assert np.array_equal(np.triu(read), np.triu(given)) and np.array_equal(read, read.T)
+    places = np.array([[covariance_index(i, j, layout) for j in range(layout.n)] for i in range(layout.n)])
+    assert np.array_equal(row[places], read)
+    begin, end = NAV + layout.n, len(row) - INPUT_SIZE * inputs
+    assert not row[:begin].any() and not row[end:].any() and (places.min(), places.max()) == (begin, end - 1)

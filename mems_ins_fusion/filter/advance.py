@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from mems_ins_fusion.compiled import njit
 
 from ..navigation.earth import gravity
@@ -27,9 +25,9 @@ from .memory import (
     Sample,
     Verdict,
     channel_of,
+    element_at,
     event_at,
     nonnegative,
-    packed,
     row_of,
     sample_at,
     state_at,
@@ -99,14 +97,15 @@ def advance(memory, k):
 @njit(_nrt=False, forceinline=True)
 def _is_finite(memory, r):
     """Whether the navigation solution, the navigation errors and their variances in row r are finite."""
-    r, n_navigation, m = nonnegative(r), int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED])
+    r, n_navigation, m = (nonnegative(r), nonnegative(int(memory[Head.N_NAVIGATION])),
+                          nonnegative(int(memory[Head.N_AUGMENTED])))
     total = 0.0
     for i in range(Nav.MEMORY):
         total += memory[r + i]
-    diagonal = np.uint64(r + NAV + n_navigation + m)
+    diagonal = r + NAV + n_navigation + m
     for i in range(n_navigation):
         total += memory[r + NAV + i] + memory[diagonal]
-        diagonal += np.uint64(n_navigation - i)
+        diagonal += n_navigation + m + 1
     return math.isfinite(total)
 
 
@@ -120,12 +119,11 @@ def _restore(memory, good, r, time):
         memory[r + i] = memory[good + i]
     memory[r + Nav.TIME] = time
     n_navigation = int(memory[Head.N_NAVIGATION])
-    a = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
     for error in range(Error.V_N, Error.SIZE):
         i = row_of(memory, error)
         if i >= 0:
             sigma = RESTART_VELOCITY if error <= Error.V_D else RESTART_ATTITUDE
-            memory[a + packed(i, i, n_navigation)] += sigma**2
+            memory[element_at(memory, r, i, i)] += sigma**2
     history.lose(memory, n_navigation + int(memory[Head.N_AUGMENTED]))
     memory[r + Nav.RESTARTS] += 1.0
 

@@ -21,12 +21,11 @@ from .advance import advance
 from .measurements.geometry import body_to_level
 from .memory import (
     HEAD,
-    NAV,
     Head,
     Nav,
     Sample,
+    element_at,
     event_at,
-    packed,
     sample_at,
     state_at,
     velocity_state,
@@ -314,16 +313,15 @@ def _agree(memory, other, r):
     """
     if memory[r + Hypothesis.FIXES_WRONG] != other[r + Hypothesis.FIXES_WRONG]:
         return False
-    n_navigation = int(memory[Head.N_NAVIGATION])
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
-    p, v, yaw = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED]), velocity_state(memory), yaw_state(memory)
+    v, yaw = velocity_state(memory), yaw_state(memory)
     a, b = body_to_level(memory, r), body_to_level(other, r)
     turn = math.atan2(a[3] * b[0] - a[0] * b[3], a[0] * b[0] + a[3] * b[3])
     differences = ((its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE],
                    its[2] - mine[2], its[3] - mine[3], turn)
     states = (0, 1, v, v + 1, yaw)
     for i in range(5):
-        at = p + packed(states[i], states[i], n_navigation)
+        at = element_at(memory, r, states[i], states[i])
         if differences[i] ** 2 > AGREED_SHARE * min(memory[at], other[at]):
             return False
     return True

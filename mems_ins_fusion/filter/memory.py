@@ -2,12 +2,12 @@
 
 One row of floats is one state of the filter: navigation solution, estimated errors x, covariance P.
 
-    solution and statistics (NAV) | x (n) | P: navigation block, packed upper triangle | cross block (m, N)
-    | augmented block (m, m) | statistics of each input but the fixes (INPUT_SIZE)
+    solution and statistics (NAV) | x (n) | P: rows of the navigation errors (N, n) | augmented block (m, m)
+    | statistics of each input but the fixes (INPUT_SIZE)
 
-The N navigation error states (5 planar, 9 strapdown) are followed by m augmented states: the sensor error models, one
-block of p states for each channel, then the optional states of the configuration. n = N + m. `StateLayout` gives the
-index of each state by its name.
+The block of P below the first is not kept: P is symmetric. The N navigation error states (5 planar, 9 strapdown) are
+followed by m augmented states: the sensor error models, one block of p states for each channel, then the optional
+states of the configuration. n = N + m. `StateLayout` gives the index of each state by its name.
 
 Columns are named tuples, not enumerations: every version of numba compiles their members as constants.
 """
@@ -168,16 +168,10 @@ class StateLayout:
 def nonnegative(position):
     """Return `position`, which is not negative, in a form in which the compiler knows that it is not negative.
 
-    Otherwise it would test at each use for a negative index (one from the end), which takes a third of the filter's
-    time.
+    Otherwise a numba that `compiled_parts` has not been tried with would test at each use for a negative index (one
+    from the end), which takes a third of the filter's time.
     """
     return position & 0x7FFFFFFFFFFFFFFF
-
-
-@njit
-def packed(i, j, size):
-    """Position of element (i, j), i <= j, in the packed upper triangle of a symmetric matrix."""
-    return i * size - i * (i - 1) // 2 + j - i
 
 
 INPUT_SIZE = 42  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
@@ -186,51 +180,46 @@ INPUT_SIZE = 42  # floats of each input but the fixes at the end of a row: its s
 def row_width(layout: StateLayout) -> int:
     """Floats in one row."""
     n, m = layout.n_navigation, layout.n_augmented
-    return NAV + n + m + n * (n + 1) // 2 + m * (n + m) + INPUT_SIZE * layout.inputs
+    return NAV + n + m + n * (n + m) + m * m + INPUT_SIZE * layout.inputs
 
 
 @njit(_nrt=False)
 def load_covariance(row, r, n_navigation, n_augmented, full, at):
     """Write the covariance of the state at row[r] as a full symmetric matrix (n, n) to full[at] on."""
-    n_navigation, n_augmented = nonnegative(n_navigation), nonnegative(n_augmented)
+    n_navigation, n_augmented, at = nonnegative(n_navigation), nonnegative(n_augmented), nonnegative(at)
     n = n_navigation + n_augmented
-    k = nonnegative(r + NAV + n)
-    for i in range(n_navigation):
-        for j in range(i, n_navigation):
-            full[nonnegative(at + n * i + j)] = full[nonnegative(at + n * j + i)] = row[k]
-            k = nonnegative(k + 1)
-    for j in range(n_navigation, n):
-        line = nonnegative(at + n * j)
-        for i in range(n_navigation):
-            full[line + i] = full[nonnegative(at + n * i + j)] = row[k + i]
-        k = nonnegative(k + n_navigation)
-    for i in range(n_navigation, n):
-        line = nonnegative(at + n * i + n_navigation)
+    k, above = nonnegative(r + NAV + n), n * n_navigation
+    for i in range(above):
+        full[at + i] = row[k + i]
+    k += above
+    for i in range(n_augmented):
+        line = at + above + n * i
+        for j in range(n_navigation):
+            full[line + j] = full[at + n * j + n_navigation + i]
         for j in range(n_augmented):
-            full[line + j] = row[k + j]
-        k = nonnegative(k + n_augmented)
+            full[line + n_navigation + j] = row[k + n_augmented * i + j]
 
 
 @njit(_nrt=False)
 def store_covariance(full, at, n_navigation, n_augmented, row, r):
     """Inverse of `load_covariance`."""
-    n_navigation, n_augmented = nonnegative(n_navigation), nonnegative(n_augmented)
+    n_navigation, n_augmented, at = nonnegative(n_navigation), nonnegative(n_augmented), nonnegative(at)
     n = n_navigation + n_augmented
-    k = nonnegative(r + NAV + n)
-    for i in range(n_navigation):
-        for j in range(i, n_navigation):
-            row[k] = full[nonnegative(at + n * i + j)]
-            k = nonnegative(k + 1)
-    for j in range(n_navigation, n):
-        line = nonnegative(at + n * j)
-        for i in range(n_navigation):
-            row[k + i] = full[line + i]
-        k = nonnegative(k + n_navigation)
-    for i in range(n_navigation, n):
-        line = nonnegative(at + n * i + n_navigation)
+    k, above = nonnegative(r + NAV + n), n * n_navigation
+    for i in range(above):
+        row[k + i] = full[at + i]
+    k += above
+    for i in range(n_augmented):
+        line = at + above + n * i + n_navigation
         for j in range(n_augmented):
-            row[k + j] = full[line + j]
-        k = nonnegative(k + n_augmented)
+            row[k + n_augmented * i + j] = full[line + j]
+
+
+@njit(_nrt=False)
+def element_at(mem, r, i, j):
+    """Position of element (i, j) of the covariance of the state at r. i: index of a navigation error."""
+    n = int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
+    return nonnegative(r + NAV + n + n * i + j)
 
 
 @njit(_nrt=False)
@@ -261,9 +250,8 @@ def yaw_state(mem):
 @njit(_nrt=False)
 def velocity_variance(mem, r):
     """Sum of the variances of the two horizontal velocity components of the state at r, m^2/s^2."""
-    v, n_navigation = velocity_state(mem), int(mem[Head.N_NAVIGATION])
-    k = nonnegative(r + NAV + n_navigation + int(mem[Head.N_AUGMENTED]))
-    return mem[k + packed(v, v, n_navigation)] + mem[k + packed(v + 1, v + 1, n_navigation)]
+    v = velocity_state(mem)
+    return mem[element_at(mem, r, v, v)] + mem[element_at(mem, r, v + 1, v + 1)]
 
 
 @njit(_nrt=False)
@@ -280,12 +268,7 @@ def covariance_index(i: int, j: int, layout: StateLayout) -> int:
     i, j = min(i, j), max(i, j)
     n, m = layout.n_navigation, layout.n_augmented
     at = NAV + n + m
-    triangle = n * (n + 1) // 2
-    if j < n:
-        return at + packed(i, j, n)
-    if i < n:
-        return at + triangle + (j - n) * n + i
-    return at + triangle + m * n + (i - n) * m + j - n
+    return at + (n + m) * i + j if i < n else at + (n + m) * n + m * (i - n) + j - n
 
 
 def covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
@@ -296,8 +279,9 @@ def covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
 
 
 def set_covariance(row: np.ndarray, layout: StateLayout, full: np.ndarray) -> None:
-    """Write the covariance (n, n) into `row`."""
-    store_covariance(np.ascontiguousarray(full).ravel(), 0, layout.n_navigation, layout.n_augmented, row, 0)
+    """Write the covariance (n, n) into `row`, symmetric to the last bit: as above the diagonal."""
+    symmetric = np.triu(full) + np.triu(full, 1).T
+    store_covariance(symmetric.ravel(), 0, layout.n_navigation, layout.n_augmented, row, 0)
 
 
 def newest_row(memory: np.ndarray) -> np.ndarray:

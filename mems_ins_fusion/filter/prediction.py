@@ -2,7 +2,7 @@
 
 P_nn navigation, P_ns cross, P_ss sensor errors; Phi = [[F, B], [0, A]] with A diagonal for random walk and
 Gauss-Markov, and one companion matrix per channel, which steps once per T_s, for AR(p). F and B are not formed:
-`error_step` of the mechanization applies [F, B] to a column.
+`error_step` of the mechanization applies [F, B] to a column, or to four columns that stand side by side.
 
 All functions work on the flat memory: passing further arrays would cost as much time as the mathematics. `src`, `dst`
 and `sample` are positions in the memory: of the previous state, of the state to write, and of the IMU sample of the
@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 
 from mems_ins_fusion.compiled import njit
+from mems_ins_fusion.compiled_lanes import LANES, four, put
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
@@ -30,8 +31,8 @@ from .memory import (
     coefficients_at,
     decay_at,
     driving_at,
+    element_at,
     nonnegative,
-    packed,
     restart_at,
     row_of,
     variance_at,
@@ -83,8 +84,6 @@ def predict(mem, src, dst, sample, dt):
         _step_strapdown(mem, src, dst, sample, dt, m, p)
     elif m == 3 and p == 1:  # the paper's filters: with constant sizes the compiled code is a quarter faster
         _step_planar(mem, src, dst, sample, dt, 3, 1)
-    elif m == 6 and p == 2:
-        _step_planar(mem, src, dst, sample, dt, 6, 2)
     else:
         _step_planar(mem, src, dst, sample, dt, m, p)
     for k in range(Nav.MEMORY, NAV):
@@ -96,7 +95,7 @@ def predict(mem, src, dst, sample, dt):
         fall_behind(mem, src, dst, dt)
     time_offset.carry_on(mem, src, dst, dt)
     if mem[sample + Sample.INTERVAL] > mem[Head.MAX_GAP] or mem[sample + Sample.FAULT] != 0.0:
-        _bridge(mem, dst, dt, m, mem[sample + Sample.FAULT])
+        _bridge(mem, dst, dt, mem[sample + Sample.FAULT])
     else:
         mem[dst + Nav.BRIDGED] = 0.0
 
@@ -129,11 +128,8 @@ def _move(mem, src, dst, north, east, down):
 def _step_planar(mem, src, dst, sample, dt, m, p):
     """Predict one interval of dt, s, with the planar mechanization; m augmented states, p states per channel."""
     src, dst, sample, m, p = nonnegative(src), nonnegative(dst), nonnegative(sample), nonnegative(m), nonnegative(p)
-    x = NAV + 5
-    # first positions of the blocks of P: navigation block a, cross block b, and in b the columns of f_x, f_y, w_z
-    a = x + m
-    b = a + 15
-    bx, by, bw = b, b + 5 * p, b + 10 * p
+    x, n = NAV + 5, 5 + m
+    a = NAV + n  # first position of P
     f_x, f_y, w_z = mem[sample + Sample.F_X], mem[sample + Sample.F_Y], mem[sample + Sample.W_Z]
     closed = mem[Head.OPEN_LOOP] == 0.0
     if closed:
@@ -159,50 +155,110 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
 
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_planar(mem, dt, f_n, f_e, c, s, nonnegative(m), nonnegative(p))
-    # Phi P, column by column
-    for j in range(m):
-        k, e = b + 5 * j, b + 5 * m + j
-        (mem[dst + k], mem[dst + k + 1], mem[dst + k + 2], mem[dst + k + 3],
-         mem[dst + k + 4]) = _planar_column(mem, dt, f_n, f_e, c, s, src + k, 1, src + e, m * p)
-    g00, g10, g20, g30, g40 = planar.error_step(
-        dt, f_n, f_e, c, s, mem[src + a], mem[src + a + 1], mem[src + a + 2], mem[src + a + 3], mem[src + a + 4],
-        mem[src + bx], mem[src + by], mem[src + bw])
-    g01, g11, g21, g31, g41 = planar.error_step(
-        dt, f_n, f_e, c, s, mem[src + a + 1], mem[src + a + 5], mem[src + a + 6], mem[src + a + 7], mem[src + a + 8],
-        mem[src + bx + 1], mem[src + by + 1], mem[src + bw + 1])
-    g02, g12, g22, g32, g42 = planar.error_step(
-        dt, f_n, f_e, c, s, mem[src + a + 2], mem[src + a + 6], mem[src + a + 9], mem[src + a + 10], mem[src + a + 11],
-        mem[src + bx + 2], mem[src + by + 2], mem[src + bw + 2])
-    g03, g13, g23, g33, g43 = planar.error_step(
-        dt, f_n, f_e, c, s, mem[src + a + 3], mem[src + a + 7], mem[src + a + 10], mem[src + a + 12], mem[src + a + 13],
-        mem[src + bx + 3], mem[src + by + 3], mem[src + bw + 3])
-    g04, g14, g24, g34, g44 = planar.error_step(
-        dt, f_n, f_e, c, s, mem[src + a + 4], mem[src + a + 8], mem[src + a + 11], mem[src + a + 13], mem[src + a + 14],
-        mem[src + bx + 4], mem[src + by + 4], mem[src + bw + 4])
+    g, e = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(src + a + 5 * n)
+    rows = g + 5 * n
+    _sensor_rows(mem, src + a, rows, 5, 3, n, p)
+    if m < LANES:
+        for j in range(m):
+            _store(mem, g + 5 + j, n, _planar_column(mem, dt, f_n, f_e, c, s, src + a + 5 + j, n, e + j, m * p))
+    for block in range(_blocks(5) + (0 if m < LANES else _blocks(m))):
+        j, q, step = _block(block, 5, m, p, rows, e)
+        _put(mem, g + j, n, _planar_columns(mem, dt, f_n, f_e, c, s, src + a + j, n, q, step))
+    (g00, g01, g02, g03, g04), (g10, g11, g12, g13, g14) = _row(mem, g), _row(mem, g + n)
+    (g20, g21, g22, g23, g24), (g30, g31, g32, g33, g34) = _row(mem, g + 2 * n), _row(mem, g + 3 * n)
+    g40, g41, g42, g43, g44 = _row(mem, g + 4 * n)
 
     # (Phi P) Phi^T, row by row; the white noise of a sensor is treated as an error that is constant over the interval
     h = 0.5 * dt
     nx, ny, nw = mem[WHITE], mem[WHITE + 1], mem[WHITE + 5]
-    x, y, w = dst + bx, dst + by, dst + bw
+    x, y, w = g + 5, g + 5 + p, g + 5 + 2 * p
     a00, a01, a02, a03, a04 = planar.error_step(
         dt, f_n, f_e, c, s, g00, g01, g02, g03, g04,
         mem[x] + nx * h * c, mem[y] - ny * h * s, mem[w] - nw * h * h * f_e)
     _, a11, a12, a13, a14 = planar.error_step(
         dt, f_n, f_e, c, s, g10, g11, g12, g13, g14,
-        mem[x + 1] + nx * h * s, mem[y + 1] + ny * h * c, mem[w + 1] + nw * h * h * f_n)
+        mem[x + n] + nx * h * s, mem[y + n] + ny * h * c, mem[w + n] + nw * h * h * f_n)
     _, _, a22, a23, a24 = planar.error_step(
         dt, f_n, f_e, c, s, g20, g21, g22, g23, g24,
-        mem[x + 2] + nx * c, mem[y + 2] - ny * s, mem[w + 2] - nw * h * f_e)
+        mem[x + 2 * n] + nx * c, mem[y + 2 * n] - ny * s, mem[w + 2 * n] - nw * h * f_e)
     _, _, _, a33, a34 = planar.error_step(
         dt, f_n, f_e, c, s, g30, g31, g32, g33, g34,
-        mem[x + 3] + nx * s, mem[y + 3] + ny * c, mem[w + 3] + nw * h * f_n)
+        mem[x + 3 * n] + nx * s, mem[y + 3 * n] + ny * c, mem[w + 3 * n] + nw * h * f_n)
     _, _, _, _, a44 = planar.error_step(dt, f_n, f_e, c, s, g40, g41, g42, g43, g44,
-                                        mem[x + 4], mem[y + 4], mem[w + 4] + nw)
-    mem[dst + a], mem[dst + a + 1], mem[dst + a + 2], mem[dst + a + 3], mem[dst + a + 4] = a00, a01, a02, a03, a04
-    mem[dst + a + 5], mem[dst + a + 6], mem[dst + a + 7], mem[dst + a + 8] = a11, a12, a13, a14
-    mem[dst + a + 9], mem[dst + a + 10], mem[dst + a + 11] = a22, a23, a24
-    mem[dst + a + 12], mem[dst + a + 13], mem[dst + a + 14] = a33, a34, a44
+                                        mem[x + 4 * n], mem[y + 4 * n], mem[w + 4 * n] + nw)
+    to = nonnegative(dst + a)
+    _store(mem, to, 1, (a00, a01, a02, a03, a04))
+    _store(mem, to + n + 1, 1, (a11, a12, a13, a14))
+    _store(mem, to + 2 * n + 2, 1, (a22, a23, a24))
+    _store(mem, to + 3 * n + 3, 1, (a33, a34))
+    mem[to + 4 * n + 4] = a44
+    _mirror(mem, to, 5, n)
     _sensor_states(mem, src, dst, dt, 5, m, p)
+
+
+@njit(inline='always')
+def _row(mem, at):
+    return mem[at], mem[at + 1], mem[at + 2], mem[at + 3], mem[at + 4]
+
+
+@njit(inline='always')
+def _planar_columns(mem, dt, f_n, f_e, c, s, k, step, q, sensor_step):
+    """`_planar_column` of the column that it is asked for and of the three behind it."""
+    return planar.error_step(
+        dt, f_n, f_e, c, s, four(mem, k), four(mem, k + step), four(mem, k + 2 * step), four(mem, k + 3 * step),
+        four(mem, k + 4 * step), four(mem, q), four(mem, q + sensor_step), four(mem, q + 2 * sensor_step))
+
+
+@njit(inline='always')
+def _strapdown_columns(mem, transition, k, step, q, sensor_step):
+    """`_planar_columns` for the strapdown mechanization."""
+    return strapdown.error_step(
+        transition, (four(mem, k), four(mem, k + step), four(mem, k + 2 * step)),
+        (four(mem, k + 3 * step), four(mem, k + 4 * step), four(mem, k + 5 * step)),
+        (four(mem, k + 6 * step), four(mem, k + 7 * step), four(mem, k + 8 * step)),
+        (four(mem, q), four(mem, q + sensor_step), four(mem, q + 2 * sensor_step)),
+        (four(mem, q + 3 * sensor_step), four(mem, q + 4 * sensor_step), four(mem, q + 5 * sensor_step)))
+
+
+@njit(inline='always')
+def _sensor_rows(mem, p_at, to, size, channels, n, p):
+    """Write the rows of P that belong to the sensors' errors, (channels, size), which P has above its diagonal only.
+
+    p_at: position of P. size: number of navigation errors.
+    """
+    for i in range(size):
+        line = nonnegative(p_at + n * i + size)
+        for k in range(channels):
+            mem[to + size * k + i] = mem[line + k * p]
+
+
+@njit(inline='always')
+def _blocks(count):
+    """How many times LANES are enough for `count`."""
+    return (count + LANES - 1) // LANES
+
+
+@njit(inline='always')
+def _block(block, size, m, p, rows, e):
+    """The first of four columns of P, and where the rows of the sensors' errors have them: position and step.
+
+    First come the `size` navigation errors, whose rows are at `rows`, then the m augmented states, at e. The last four
+    of each may overlap with those before them.
+    """
+    first = _blocks(size)
+    if block < first:
+        j = min(LANES * block, size - LANES)
+        return j, rows + j, size
+    j = min(LANES * (block - first), m - LANES)
+    return size + j, e + j, m * p
+
+
+@njit(inline='always')
+def _mirror(mem, at, size, n):
+    """Copy what is above the diagonal of the (size, size) block at `at` below it; n elements in a row."""
+    for i in range(size):
+        for j in range(i + 1, size):
+            mem[at + n * j + i] = mem[at + n * i + j]
 
 
 @njit(inline='always')
@@ -255,7 +311,7 @@ def _carry_sensors(mem, dt, size, m):
 
 
 @njit(_nrt=False)
-def _bridge(mem, r, dt, m, fault):
+def _bridge(mem, r, dt, fault):
     """Add to the covariance of row r the motion that the vehicle may have made in dt, s, without a valid sample.
 
     Acceleration and turn rate are unknown constants, so what they add in dt depends on how long the gap has lasted.
@@ -270,13 +326,11 @@ def _bridge(mem, r, dt, m, fault):
     position = 0.25 * GAP_ACCELERATION**2 * (after**4 - before**4)
     if fault == Fault.CONTRADICTED:
         position, velocity = 0.0, acceleration.DENSITY * dt
-    n = int(mem[Head.N_NAVIGATION])
-    a = r + NAV + n + m
     for error in range(Error.SIZE):
         i = row_of(mem, error)
         if i < 0:
             continue
-        at = a + packed(i, i, n)
+        at = element_at(mem, r, i, i)
         if error <= Error.R_D:
             mem[at] += position
         elif error <= Error.V_D:
@@ -294,7 +348,7 @@ def allow_for_restart(mem, r):
     """
     n_navigation, m, p = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), int(mem[Head.ORDER])
     channels = int(mem[Head.CHANNELS])
-    e = r + NAV + n_navigation + m + n_navigation * (n_navigation + 1) // 2 + m * n_navigation
+    e = r + NAV + (n_navigation + 1) * (n_navigation + m)
     for channel in range(channels):
         mem[e + (m + 1) * channel * p] += mem[restart_at(m, p, channels, channel)]
 
@@ -332,21 +386,19 @@ def _decays(mem, at, dt, m):
 def _sensor_states(mem, src, dst, dt, size, m, p):
     """Predict x and P of the m augmented states, which follow `size` navigation errors, with the steps of AR(p).
 
-    The cross block in dst already contains the prediction of its navigation rows.
+    At the begin of the scratch is Phi P, navigation rows of Phi.
     """
-    x = NAV + size
-    b = x + m + size * (size + 1) // 2
-    e = b + size * m
-    decays = nonnegative(int(mem[Head.SCRATCH_AT]))
+    x, n = NAV + size, size + m
+    a = NAV + n
+    e = a + size * n
+    g = nonnegative(int(mem[Head.SCRATCH_AT]))
+    decays = g + size * n
     scaled = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # number of states whose process noise trust/drift.py scales
     _decays(mem, decays, dt, m)
+    _decay_augmented(mem, g + size, dst + a + size, size, n, src + e, dst + e, decays, m)
     for j in range(m):
-        decay, column, before, row = mem[decays + j], dst + b + size * j, src + e + m * j, dst + e + m * j
+        decay, row = mem[decays + j], nonnegative(dst + e + m * j)
         mem[dst + x + j] = decay * mem[src + x + j]
-        for i in range(size):
-            mem[column + i] *= decay
-        for i in range(m):  # the block stays symmetric to the last bit
-            mem[row + i] = decay * mem[decays + i] * mem[before + i]
         drift = mem[src + Drift.RATIO + (j > 2)] if j < scaled else 1.0
         mem[row + j] += drift * (mem[walk_at(m, j)] * dt
                                  + mem[variance_at(m, j)] * (1.0 - decay * decay))
@@ -355,6 +407,29 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
     if mem[Head.INTERVAL] > 0.0:
         _autoregressive(mem, src, dst, dt, size, m, p)
     mem[dst + Nav.CONSTRAINT_TIME] = mem[src + Nav.CONSTRAINT_TIME] + dt
+
+
+@njit(inline='always')
+def _decay_augmented(mem, cross, cross_to, size, n, own, own_to, decays, m):
+    """P Phi^T of the m augmented states' columns, which decay by what is at `decays`.
+
+    cross: position of the first of `size` rows, n apart, of the navigation errors. own: of the block (m, m), whose rows
+    decay as well. The results go to cross_to and own_to, symmetric to the last bit.
+    """
+    if m < LANES:
+        for j in range(m):
+            for i in range(size):
+                mem[cross_to + n * i + j] = mem[decays + j] * mem[cross + n * i + j]
+            for i in range(m):
+                mem[own_to + m * i + j] = mem[decays + i] * mem[decays + j] * mem[own + m * i + j]
+        return
+    for block in range(_blocks(m)):
+        j = min(LANES * block, m - LANES)
+        decay = four(mem, decays + j)
+        for i in range(size):
+            put(mem, cross_to + n * i + j, decay * four(mem, cross + n * i + j))
+        for i in range(m):
+            put(mem, own_to + m * i + j, mem[decays + i] * decay * four(mem, own + m * i + j))
 
 
 @njit(_nrt=False, fastmath={'contract'})
@@ -375,13 +450,13 @@ def _autoregressive(mem, src, dst, dt, size, m, p):
 @njit(inline='always')
 def _step_channel(mem, dst, size, m, p, channel, channels):
     """One step of one channel's AR(p): apply the companion matrix to x and to both sides of P, and add b0^2."""
-    x = NAV + size
-    b = x + m + size * (size + 1) // 2
-    e = b + size * m
+    x, n = NAV + size, size + m
+    b = NAV + n + size
+    e = NAV + n + size * n
     start, a = channel * p, coefficients_at(m, p, channel)
     _companion(mem, dst + x + start, 1, p, a)
     for i in range(size):
-        _companion(mem, nonnegative(dst + b + size * start + i), size, p, a)
+        _companion(mem, nonnegative(dst + b + n * i + start), 1, p, a)
     for j in range(m):
         _companion(mem, nonnegative(dst + e + m * start + j), m, p, a)
     for i in range(m):
@@ -392,7 +467,6 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
             for k in range(p):
                 mem[row + k] = mem[nonnegative(dst + e + m * (start + k) + i)]
     if mem[Head.HISTORY_AT] > 0.0:
-        n = size + m
         for k in range(n):
             _companion(mem, int(mem[Head.HISTORY_AT]) + n * (size + start) + k, n, p, a)
     mem[dst + e + (m + 1) * start] += mem[driving_at(m, p, channels, channel)]
@@ -419,10 +493,8 @@ def _companion(mem, at, stride, p, a):
 def _step_strapdown(mem, src, dst, sample, dt, m, p):
     """Predict one interval of dt, s, with the strapdown mechanization; m augmented states, p states per channel."""
     src, dst, sample, m, p = nonnegative(src), nonnegative(dst), nonnegative(sample), nonnegative(m), nonnegative(p)
-    x = NAV + 9
-    a = x + m
-    b = a + 45
-    e = b + 9 * m
+    x, n = NAV + 9, 9 + m
+    a = NAV + n  # first position of P
     closed = mem[Head.OPEN_LOOP] == 0.0
     f = (mem[sample + Sample.F_X], mem[sample + Sample.F_Y], mem[sample + Sample.F_Z])
     w = (mem[sample + Sample.W_X], mem[sample + Sample.W_Y], mem[sample + Sample.W_Z])
@@ -448,69 +520,60 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         for i in range(9):
             mem[dst + NAV + i] = 0.0
     else:
-        _store(mem, dst + NAV, _strapdown_column(mem, transition, src + NAV, 1, src + x, p), 0)
-    for j in range(m):
-        k, q, r = nonnegative(src + b + 9 * j), nonnegative(src + e + j), dst + b + 9 * j
-        _store(mem, r, _strapdown_column(mem, transition, k, 1, q, m * p), 0)
+        _store(mem, dst + NAV, 1, _strapdown_column(mem, transition, src + NAV, 1, src + x, p))
 
-    # Phi P, column by column, then (Phi P) Phi^T, row by row. In the scratch: P_nn at s, the transpose of Phi P at g,
-    # and at u the columns of the six sensors with their white noise, which is treated as an error that is constant over
-    # dt
-    s = nonnegative(int(mem[Head.SCRATCH_AT]))
-    g, u = s + 81, s + 162
-    for i in range(9):
-        line = nonnegative(src + a + packed(i, i, 9) - i)
-        for j in range(i, 9):
-            mem[s + 9 * i + j] = mem[s + 9 * j + i] = mem[line + j]
-    for j in range(9):
-        k, q = nonnegative(src + b + j), nonnegative(s + 9 * j)
-        _store(mem, g + 9 * j, _strapdown_column(mem, transition, q, 1, k, 9 * p), 0)
+    # Phi P, four columns at once, then (Phi P) Phi^T, row by row. In the scratch: Phi P at g, the sensors' rows of P,
+    # and at u their columns of Phi P with their white noise, which is treated as an error that is constant over dt
+    g, e = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(src + a + 9 * n)
+    rows = g + 9 * n
+    u = rows + 54
+    _sensor_rows(mem, src + a, rows, 9, 6, n, p)
+    for block in range(_blocks(9) + _blocks(m)):
+        j, q, step = _block(block, 9, m, p, rows, e)
+        _put(mem, g + j, n, _strapdown_columns(mem, transition, src + a + j, n, q, step))
     h = 0.5 * dt
     more = force_noise(mem, src)
     gyroscopes = nonnegative(src + x + 3 * p)  # their estimated errors, which w contains in open loop
     for axis in range(3):
-        k, q = nonnegative(dst + b + 9 * p * axis), nonnegative(u + 9 * axis)
+        k, q = nonnegative(g + 9 + p * axis), nonnegative(u + 9 * axis)
         white_f = density(mem, sample, axis) + more
         rate = mem[sample + Sample.W_X + axis] - mem[gyroscopes + p * axis]
         white_w = density(mem, sample, 3 + axis) + mem[Turns.NOISE] * rate * rate
         x, y, z = strapdown.column(c, axis)
         turned = h * (y * f_level[2] - z * f_level[1]), h * (z * f_level[0] - x * f_level[2]), h * (
             x * f_level[1] - y * f_level[0])
-        _add(mem, q, k, white_f, (h * x, h * y, h * z, x, y, z, 0.0, 0.0, 0.0))
-        _add(mem, q + 27, k + 27 * p, white_w, (
+        _add(mem, q, k, n, white_f, (h * x, h * y, h * z, x, y, z, 0.0, 0.0, 0.0))
+        _add(mem, q + 27, k + 3 * p, n, white_w, (
             h * turned[0], h * turned[1], h * turned[2], turned[0], turned[1], turned[2], x, y, z))
     # the result is symmetric: of the rows of velocity and attitude only the elements from the diagonal block on are
     # needed
+    to = nonnegative(dst + a)  # of the rows of velocity and attitude only what is not below the diagonal is needed
     for i in range(3):
-        _store(mem, s, _strapdown_column(mem, transition, nonnegative(g + i), 9, nonnegative(u + i), 9), 0)
-        _copy_row(mem, s, dst + a, i)
+        _store(mem, to + n * i, 1, _strapdown_column(mem, transition, g + n * i, 1, u + i, 9))
     for i in range(3, 6):
-        _store(mem, s, _strapdown_column(mem, transition, nonnegative(g + i), 9, nonnegative(u + i), 9), 3)
-        _copy_row(mem, s, dst + a, i)
+        _store(mem, to + n * i + 3, 1, _strapdown_column(mem, transition, g + n * i, 1, u + i, 9)[3:])
     for i in range(6, 9):
-        _store(mem, s, _strapdown_column(mem, transition, nonnegative(g + i), 9, nonnegative(u + i), 9), 6)
-        _copy_row(mem, s, dst + a, i)
+        _store(mem, to + n * i + 6, 1, _strapdown_column(mem, transition, g + n * i, 1, u + i, 9)[6:])
+    _mirror(mem, to, 9, n)
     _sensor_states(mem, src, dst, dt, 9, m, p)
 
 
 @njit(inline='always')
-def _copy_row(mem, source, to, i):
-    """Copy row i of a matrix (9, 9), from the diagonal on, to the packed triangle at `to`. source: position of the row.
-    """
-    line = nonnegative(to + packed(i, i, 9) - i)
-    for j in range(i, 9):
-        mem[line + j] = mem[source + j]
-
-
-@njit(inline='always')
-def _add(mem, to, source, factor, values):
-    """Write to `to` the nine elements at `source` plus `factor` times the nine values."""
+def _add(mem, to, source, step, factor, values):
+    """Write to `to` the nine elements at source, source + step, ... plus `factor` times the nine values."""
     for i in range(9):
-        mem[to + i] = mem[source + i] + factor * values[i]
+        mem[to + i] = mem[source + step * i] + factor * values[i]
 
 
 @njit(inline='always')
-def _store(mem, at, values, first):
-    """Write the values number `first` to 8 to at + first, ..., at + 8."""
-    for i in range(first, 9):
-        mem[at + i] = values[i]
+def _put(mem, at, step, values):
+    """Write fours to at, at + step, ..."""
+    for i in range(len(values)):
+        put(mem, at + step * i, values[i])
+
+
+@njit(inline='always')
+def _store(mem, at, step, values):
+    """Write the values to at, at + step, ..."""
+    for i in range(len(values)):
+        mem[at + step * i] = values[i]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from mems_ins_fusion.compiled import njit
+from mems_ins_fusion.compiled_lanes import LANES, four, put
 
 from . import history
 from .measurements.geometry import turn_attitude
@@ -63,12 +64,17 @@ def correct_by_scalar(mem, r, n, h, column, z, s):
     stays symmetric to the last bit.
     """
     p, x, h, column = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(r + NAV), nonnegative(h), nonnegative(column)
-    residual, inverse = z - product(mem, n, h, x), 1.0 / s
+    residual, inverse, blocks = z - product(mem, n, h, x), 1.0 / s, nonnegative(n) // LANES
     for i in range(n):
-        element, row = mem[column + i], nonnegative(p + n * i)
-        mem[x + i] += element * inverse * residual
-        for j in range(n):
-            mem[row + j] -= element * mem[column + j] * inverse
+        mem[x + i] += mem[column + i] * inverse * residual
+    for block in range(blocks):  # four columns of P at once
+        others, at = four(mem, column + LANES * block), p + LANES * block
+        for i in range(n):
+            put(mem, at + n * i, four(mem, at + n * i) - mem[column + i] * others * inverse)
+    for j in range(LANES * blocks, n):  # and the rest
+        other, at = mem[column + j], p + j
+        for i in range(n):
+            mem[at + n * i] -= mem[column + i] * other * inverse
     if mem[Head.HISTORY_AT] > 0.0:
         history.corrected(mem, n, h, column, residual, s)
 

@@ -38,8 +38,8 @@ from ..memory import (
     Head,
     Nav,
     Sample,
+    element_at,
     nonnegative,
-    packed,
     row_of,
     sample_at,
     state_at,
@@ -265,11 +265,10 @@ def speed_of(mem, r):
 @njit(_nrt=False)
 def along_variance(mem, r):
     """Variance of the speed over ground of the state at r, m^2/s^2."""
-    v, n_navigation = velocity_state(mem), int(mem[Head.N_NAVIGATION])
-    p = nonnegative(r + NAV + n_navigation + int(mem[Head.N_AUGMENTED]))
+    v = velocity_state(mem)
     v_n, v_e = mem[r + Nav.V_N], mem[r + Nav.V_E]
-    total = (v_n * v_n * mem[p + packed(v, v, n_navigation)] + v_e * v_e * mem[p + packed(v + 1, v + 1, n_navigation)]
-             + 2.0 * v_n * v_e * mem[p + packed(v, v + 1, n_navigation)])
+    total = (v_n * v_n * mem[element_at(mem, r, v, v)] + v_e * v_e * mem[element_at(mem, r, v + 1, v + 1)]
+             + 2.0 * v_n * v_e * mem[element_at(mem, r, v, v + 1)])
     return max(mem[r + Nav.VARIANCE_FACTOR], 1.0) * total / max(v_n * v_n + v_e * v_e, 1e-6)
 
 

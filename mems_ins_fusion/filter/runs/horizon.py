@@ -29,6 +29,7 @@ from ..memory import (
     Kind,
     Nav,
     Sample,
+    element_at,
     nonnegative,
     sample_at,
     scratch_size,
@@ -176,12 +177,10 @@ def exceedance_probability(mem, r, limit, north=0.0, east=0.0):
     The mean over all directions phi of exp(-limit^2 / (2 (a cos(phi)^2 + b sin(phi)^2))), a and b the variances along
     the axes of the error ellipse.
     """
-    n_navigation = int(mem[Head.N_NAVIGATION])
-    at = r + NAV + n_navigation + int(mem[Head.N_AUGMENTED])
     factor = variance_factor(mem, r)
-    nn = factor * mem[at] + added_covariance(mem, r, 0, 0) + north * north
-    ne = factor * mem[at + 1] + added_covariance(mem, r, 0, 1) + north * east
-    ee = factor * mem[at + n_navigation] + added_covariance(mem, r, 1, 1) + east * east
+    nn = factor * mem[element_at(mem, r, 0, 0)] + added_covariance(mem, r, 0, 0) + north * north
+    ne = factor * mem[element_at(mem, r, 0, 1)] + added_covariance(mem, r, 0, 1) + north * east
+    ee = factor * mem[element_at(mem, r, 1, 1)] + added_covariance(mem, r, 1, 1) + east * east
     mean, half = 0.5 * (nn + ee), math.hypot(0.5 * (nn - ee), ne)
     total = 0.0
     for k in range(_DIRECTIONS):

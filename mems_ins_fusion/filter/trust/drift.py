@@ -66,7 +66,7 @@ def learn_drift(mem, r):
     lasting = variance_factor(mem, r) if mem[Head.CONSTRAINTS] == 0.0 else 1.0
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     x = r + NAV + n_navigation
-    e = x + m + n_navigation * (n_navigation + 1) // 2 + m * n_navigation
+    e = x + m + n_navigation * (n_navigation + m)
     for k in range(6):
         sensor = 0 if k < 3 else 1
         error, variance, ratio = mem[x + k], mem[e + (m + 1) * k], mem[r + Drift.RATIO + sensor]

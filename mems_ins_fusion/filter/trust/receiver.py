@@ -10,7 +10,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ...navigation.earth import gravity
-from ..memory import NAV, ROW, Error, Event, Head, Nav, Verdict, packed, row_of
+from ..memory import NAV, ROW, Error, Event, Head, Nav, Verdict, element_at, row_of
 from .force_noise import ForceNoise, force_noise, learn_force_noise
 from .scale import PRIOR, Scale, learn_changes, reopen, reset_scale, scale
 from .scale import learn as learn_scale
@@ -334,11 +334,11 @@ def learn_scatter(mem, r, at):
 @njit(_nrt=False)
 def _unseen_acceleration(mem, r):
     """Variance of an acceleration to north or east that is an error of the tilt, (m/s^2)^2."""
-    most, n_navigation, phi = UNSEEN_ACCELERATION**2, int(mem[Head.N_NAVIGATION]), row_of(mem, Error.PHI_N)
+    most, phi = UNSEEN_ACCELERATION**2, row_of(mem, Error.PHI_N)
     if phi < 0:
         return most
-    p, g = r + NAV + n_navigation + int(mem[Head.N_AUGMENTED]), gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT])
-    tilt = 0.5 * (mem[p + packed(phi, phi, n_navigation)] + mem[p + packed(phi + 1, phi + 1, n_navigation)])
+    g = gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT])
+    tilt = 0.5 * (mem[element_at(mem, r, phi, phi)] + mem[element_at(mem, r, phi + 1, phi + 1)])
     return min(g * g * tilt, most)
 
 

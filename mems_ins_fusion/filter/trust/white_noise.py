@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from mems_ins_fusion.compiled import njit
+from mems_ins_fusion.compiled_lanes import four, put
 
 from ..memory import HEAD, SAMPLE, WHITE, Head, Sample, nonnegative, sample_at
 
@@ -46,24 +47,21 @@ def show_noise(mem, k, dt):
         mem[at + Shown.WHITE + i] = mem[last + Shown.WHITE + i]
     if k <= ORDER:
         return
-    for j in range(ORDER):
-        later, earlier = nonnegative(sample_at(mem, k - j)), nonnegative(sample_at(mem, k - j - 1))
-        interval = mem[later + Sample.INTERVAL]
-        if mem[later + Sample.FAULT] != 0.0 or mem[earlier + Sample.FAULT] != 0.0 or (
-                interval > EVEN_RATIO * dt or dt > EVEN_RATIO * interval):
-            return
-    a = b = c = d = e = f = 0.0  # the differences of the six axes
     for j in range(ORDER + 1):
+        one = nonnegative(sample_at(mem, k - j))
+        interval = mem[one + Sample.INTERVAL] if j < ORDER else dt
+        if mem[one + Sample.FAULT] != 0.0 or interval > EVEN_RATIO * dt or dt > EVEN_RATIO * interval:
+            return
+    # differences of the first and of the last four of the six axes
+    first, last = _WEIGHTS[0] * four(mem, at + Sample.F_X), _WEIGHTS[0] * four(mem, at + Sample.F_Z)
+    for j in range(1, ORDER + 1):
         one, weight = nonnegative(sample_at(mem, k - j)), _WEIGHTS[j]
-        a += weight * mem[one + Sample.F_X]
-        b += weight * mem[one + Sample.F_Y]
-        c += weight * mem[one + Sample.F_Z]
-        d += weight * mem[one + Sample.W_X]
-        e += weight * mem[one + Sample.W_Y]
-        f += weight * mem[one + Sample.W_Z]
+        first = first + weight * four(mem, one + Sample.F_X)
+        last = last + weight * four(mem, one + Sample.F_Z)
     share, white = min(dt / MEAN_TIME, 1.0), at + Shown.WHITE
-    for i, difference in enumerate((a, b, c, d, e, f)):
-        mem[white + i] += share * (dt * difference * difference - mem[white + i])
+    known, others = four(mem, white), four(mem, white + 2)
+    put(mem, white, known + share * (dt * first * first - known))
+    put(mem, white + 2, others + share * (dt * last * last - others))
     mem[at + Shown.SIDEWAYS] += min(dt / LONG_MEAN_TIME, 1.0) * (mem[at + Shown.WHITE + 1] - mem[at + Shown.SIDEWAYS])
     if shown(mem, at, 3) > NOTEWORTHY**2:
         mem[White.SHAKEN] += dt
