@@ -70,9 +70,11 @@ SETTINGS = {'sideslip': {'vehicle.non_holonomic': True}, 'mounting_rotation': {'
 #: further inputs: their rates, Hz, and the effects that only a recording with them shows, with that of their stamps
 RATES = {'speed': 10.0, 'velocity': 5.0, 'heading': 5.0, 'twist': 20.0}
 STAMPS = {f'{name}_time_offset': name for name in RATES}
-#: smoothed by a low pass whose time constant, s, is one of these: late by that
-LAGS = {f'{name} lag': f'{name}_time_offset' for name in RATES}
-SMALLEST_LAG, LARGEST_LAG = 0.15, 0.5
+#: smoothed by a low pass with a time constant, s, between these: late by that, and more than late
+LAGS = {f'{name} lag': f'{name}_lag' for name in RATES}
+SMALLEST_LAG, LARGEST_LAG = 0.3, 1.2
+#: input of each effect of one
+OF_INPUT = STAMPS | {f'{name}_lag': name for name in RATES}
 HILLS = 'hills'  # the road's grade tilts the body: the library's tilt, without a value
 #: effects whose simulated parameters are estimated, on level roads; those of real roads: diagnosis_on_roads.py
 FLAT = ('gnss_time_offset', 'gnss_lever_arm', 'gnss_coloured_noise', 'accelerometer_scale', 'gyroscope_scale',
@@ -111,8 +113,8 @@ def settings(names) -> dict:
     values = {'reference_lever_arm': [0.0, 0.0, 0.0]}
     for name in names:
         values |= SETTINGS.get(name, {})
-        if name in STAMPS:
-            values[f'{STAMPS[name]}_topic'] = f'/{STAMPS[name]}'
+        if name in OF_INPUT:
+            values[f'{OF_INPUT[name]}_topic'] = f'/{OF_INPUT[name]}'
     return table.check(values)
 
 
@@ -139,8 +141,8 @@ def simulated(names, seed: int, truth: dict, hills: bool = False):
     effects = {**EFFECTS, **{e.name: e for e in OUTSIDE}}
     drive = simulate_drive(DURATION, seed, hills=hills)
     return simulate_recording(drive, sensors, RECEIVER, [(effects[n], theta) for n, theta in truth.items()],
-                              seed=seed, aiding=Aiding(**{f'{STAMPS[name]}_rate': RATES[STAMPS[name]]
-                                                          for name in names if name in STAMPS})).recording
+                              seed=seed, aiding=Aiding(**{f'{OF_INPUT[name]}_rate': RATES[OF_INPUT[name]]
+                                                          for name in names if name in OF_INPUT})).recording
 
 
 def draw(names, seed: int, scenario: str = '') -> dict:
@@ -148,7 +150,7 @@ def draw(names, seed: int, scenario: str = '') -> dict:
     rng = stream(seed, 'study ' + (scenario if scenario in LAGS else ' '.join(names)))
     truth = {}
     if scenario in LAGS:
-        return {LAGS[scenario]: {'lag': rng.uniform(SMALLEST_LAG, LARGEST_LAG)}}
+        return {LAGS[scenario]: {'tau': rng.uniform(SMALLEST_LAG, LARGEST_LAG)}}
     for name in names:
         outside = {e.name: e for e in OUTSIDE}
         if name in outside:
@@ -246,6 +248,8 @@ def scenarios() -> dict[str, tuple[str, ...]]:
 
 def right(case: Case, group) -> bool:
     wanted = {'tilt'} if case.scenario == HILLS else set(case.true)
+    if case.scenario in LAGS:  # most of it is an offset
+        wanted.add(f'{OF_INPUT[LAGS[case.scenario]]}_time_offset')
     return bool(wanted & set(group))
 
 

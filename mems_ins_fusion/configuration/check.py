@@ -11,7 +11,8 @@ import numpy as np
 from mems_ins_fusion.configuration.inputs import CLOCKED, clock_of
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
 from mems_ins_fusion.configuration.receiver import TOO_SURE, assess_receiver
-from mems_ins_fusion.configuration.remaining import ANGLES, ARM, TIME_OFFSET, Remaining, remaining_of
+from mems_ins_fusion.configuration.remaining import ANGLES, ARM, TIME_OFFSET, ClockLeft, Remaining, remaining_of
+from mems_ins_fusion.configuration.speed_offset import MOST_SPRINGS, LowPass
 from mems_ins_fusion.configuration.vehicle import standstills_show
 from mems_ins_fusion.filter.measurements.registry import MEASUREMENTS, aiding
 from mems_ins_fusion.filter.memory import Kind
@@ -174,9 +175,11 @@ def _check_clocks(recording: Recording, imu: ImuSamples, found: Mounting | None,
     of_receiver = {one.name: one.of_antenna for one in aiding(values)}
     for name, left in clocks_left(recording, imu, found, values).items():
         yield _clock_finding(name, left, values[f'{name}.time_offset'], 'fixes' if of_receiver[name] else 'IMU')
+        if left.low_pass is not None:
+            yield _low_pass_finding(name, left.low_pass, values[f'{name}.lag'])
 
 
-def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict) -> dict[str, Remaining]:
+def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict) -> dict[str, ClockLeft]:
     """What the checked parameters `values` leave of the time offset of each input, by its name, as `recording` shows it
     without a filter; imu: its usable samples. Of those that are compared with the IMU only where the yaw of the
     mounting is shown."""
@@ -190,12 +193,12 @@ def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, v
             continue
         samples = measurement.declared(measurement.settings(values), streams[name])
         samples = samples.select(samples.stamp < imu.stamp[-1])
-        lag, _ = clock_of(kind, samples, imu, fixes, rotation)
-        lag, sigma = lag or (0.0, math.inf)
+        clock = clock_of(kind, samples, imu, fixes, rotation)
+        lag, sigma = clock.lag or (0.0, math.inf)
         declared = values[f'{name}.time_offset']
         if measurement.of_antenna and not measurement.is_plain:  # that of the plain one is beside gnss.time_offset
             declared -= values['gnss.time_offset']
-        left[name] = Remaining(TIME_OFFSET, lag - declared, sigma)
+        left[name] = ClockLeft(TIME_OFFSET, lag - declared, sigma, clock.low_pass)
     return left
 
 
@@ -210,6 +213,21 @@ def _clock_finding(name: str, left: Remaining, declared: float, against: str) ->
     beside = f' beside {name}.time_offset {declared:g} s' if declared else ''
     return Finding(INFO, topic, f'the {name} is of the time of its stamps{beside}: {left.value:.3f} +- '
                    f'{left.sigma:.3f} s', shown)
+
+
+def _low_pass_finding(name: str, seen: LowPass, declared: float) -> Finding:
+    shown = {'low_pass_s': seen.tau, 'sigma_s': seen.sigma}
+    if seen.certain and abs(seen.tau - declared) > SURE * seen.sigma:
+        beside = f' beside {name}.lag {declared:g} s' if declared else ''
+        return Finding(WARNING, f'imu/{name}', f'the {name} comes through a low pass of {seen.tau:.2f} +- '
+                       f'{seen.sigma:.2f} s{beside}, which is a part of its time offset: set {name}.lag to '
+                       f'{seen.tau:.2f}', shown, (f'{name}.lag',))
+    if seen.certain:
+        return Finding(INFO, f'imu/{name}', f'the {name} comes through a low pass of {seen.tau:.2f} +- '
+                       f'{seen.sigma:.2f} s, as {name}.lag says', shown)
+    return Finding(INFO, f'imu/{name}', f'whether a low pass makes a part of the time offset of the {name} does not '
+                   f'show: {seen.tau:.2f} +- {seen.sigma:.2f} s, and up to {MOST_SPRINGS:g} s are those of springs',
+                   shown)
 
 
 def _late(left: Remaining, name: str, declared: float) -> str:

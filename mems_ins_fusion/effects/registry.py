@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 from mems_ins_fusion.effects.accelerometer_lever_arm import AccelerometerLeverArm
 from mems_ins_fusion.effects.accelerometer_scale import AccelerometerScale
+from mems_ins_fusion.effects.aiding_lag import LAGS, AidingLag
 from mems_ins_fusion.effects.aiding_time_offset import AND, TIME_OFFSETS, SeveralTimeOffsets, time_offset_of
 from mems_ins_fusion.effects.base import Effect
 from mems_ins_fusion.effects.g_sensitivity import GSensitivity
@@ -28,20 +29,26 @@ from mems_ins_fusion.effects.tilt import Tilt
 EFFECTS: dict[str, Effect] = {effect.name: effect for effect in (
     GnssTimeOffset(), GnssLeverArm(), GnssColouredNoise(), AccelerometerScale(), GyroscopeScale(), MountingRotation(),
     Tilt(), GSensitivity(), Temperature(), AccelerometerLeverArm(), Sideslip(),
-    GnssLag(), GnssLatency(), RearAxle(), SpeedScale(), *TIME_OFFSETS, GyroscopeWarmUp(), GnssOutliers(),
+    GnssLag(), GnssLatency(), RearAxle(), SpeedScale(), *TIME_OFFSETS, *LAGS, GyroscopeWarmUp(), GnssOutliers(),
     ImuRepeats(), ImuJitter(),
 )}
-_OF_INPUT = '_time_offset'
+_OFFSET_OF, _LAG_OF = '_time_offset', '_lag'  # ends of the names of effects of an input
 
 
 def effects_of(values: Mapping) -> tuple[Effect, ...]:
     """All, and those of the inputs that the checked parameters `values` name."""
-    return (*EFFECTS.values(), *(time_offset_of(name) for name in values.get('inputs', ())))
+    names = values.get('inputs', ())
+    return (*EFFECTS.values(), *(time_offset_of(name) for name in names),
+            *(AidingLag(name) for name in names if f'{name}.lag' in values))
 
 
 def effect_called(name: str) -> Effect:
     """The effect `name`; one without words where there is none of that name."""
-    if name in EFFECTS or not name.endswith(_OF_INPUT):
-        return EFFECTS.get(name) or Effect()
-    inputs = name.removesuffix(_OF_INPUT).split(AND)
+    if name in EFFECTS:
+        return EFFECTS[name]
+    if name.endswith(_LAG_OF):
+        return AidingLag(name.removesuffix(_LAG_OF))
+    if not name.endswith(_OFFSET_OF):
+        return Effect()
+    inputs = name.removesuffix(_OFFSET_OF).split(AND)
     return time_offset_of(*inputs) if len(inputs) == 1 else SeveralTimeOffsets(dict.fromkeys(inputs, 0.0))

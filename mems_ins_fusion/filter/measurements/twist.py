@@ -17,6 +17,7 @@ from ...samples import Twists
 from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, SensorSettings, covariance36
 from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, vehicle_to_level
+from .low_pass import unfollowed, unfollowed_turn
 from .records import FASTEST, SMALLEST_SPEED_SIGMA, STEP, empty, refuse, stated_or, velocity_at
 from .time_offset import acceleration, add_time_offset
 
@@ -29,9 +30,10 @@ def observe(mem, r, at, h, n, c, sample):
     """
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     x, y, z = arm_of(mem, at)
+    behind, turns = unfollowed(mem, r, at, body_velocity(mem, r, c, 0)), w_z - unfollowed_turn(mem, r, at, w_z)
     c = vehicle_to_level(mem, r, c)
     scale, gyroscope = int(mem[at + Event.STATE]), channel_of(mem, 5)
-    forward = body_velocity(mem, r, c, 0) + w_y * z - w_z * y
+    forward = body_velocity(mem, r, c, 0) + w_y * z - w_z * y - behind
     right = body_velocity(mem, r, c, 1) + w_z * x - w_x * z
     mem[at + Event.Z_N] = forward - mem[at + Event.VALUE]
     add_time_offset(mem, at, h, along(acceleration(mem, r), c, 0))
@@ -52,10 +54,10 @@ def observe(mem, r, at, h, n, c, sample):
         # measured = (1 + scale) (gyroscope reading - its error), linearised at the estimates of both, as both may be
         # large; `update` subtracts H times the estimates
         error = mem[r + NAV + gyroscope]
-        mem[at + Event.Z_D] = w_z + error + turn_scale * error - mem[at + Event.VALUE + 2]
+        mem[at + Event.Z_D] = turns + error + turn_scale * error - mem[at + Event.VALUE + 2]
         mem[h + 2 * n + gyroscope] = 1.0 + turn_scale
         if scale >= 0:
-            mem[h + 2 * n + scale + 1] = -w_z
+            mem[h + 2 * n + scale + 1] = -turns
     return 3
 
 
@@ -69,7 +71,7 @@ class Twist(Measurement):
     kind, name, samples, unit, default_sigma = Kind.TWIST, 'twist', Twists, 'm/s', 0.1
     topic_text = ('Topic of the odometry of wheels, a lidar or a camera, base_link: twist of nav_msgs/Odometry or '
                   'geometry_msgs/TwistWithCovarianceStamped; the source must not use the fixes')
-    components, has_arm = 2, True
+    components, has_arm, has_lag = 2, True, True
     messages = {ODOMETRY: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance'),
                 TWIST: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance')}
     written_to = '/wheel/odometry'
