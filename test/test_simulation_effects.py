@@ -48,7 +48,8 @@ TOUCHED = {
     'gnss_lag': '......NE.', 'gnss_latency': '......NE.', 'gnss_outliers': '......NED', 'rear_axle': 'xy....NE.',
     **dict.fromkeys(('speed_scale', 'speed_time_offset', 'velocity_time_offset', 'heading_time_offset',
                      'twist_time_offset', 'magnetometer_time_offset', 'pressure_time_offset', 'speed_lag',
-                     'velocity_lag', 'heading_lag', 'twist_lag', 'magnetometer_lag', 'pressure_lag'), '.........'),
+                     'velocity_lag', 'heading_lag', 'twist_lag', 'magnetometer_lag', 'pressure_lag',
+                     'twist_yaw', 'pressure_dynamic'), '.........'),
     'gyroscope_warm_up': '.....z...', 'imu_repeats': 'xyzxyz...', 'imu_jitter': '.........',
 }
 

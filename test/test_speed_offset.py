@@ -92,7 +92,8 @@ def test_a_low_pass_is_told_from_stamps_that_are_late(tmp_path):
     assert [f.severity for f in said] == ['info', 'warning'] and 'set speed.lag to 0.' in said[1].message
     assert [f.severity for f in check_setup(made, {**values, 'speed.lag': 0.7}) if f.topic == 'imu/speed'] == [
         'info', 'info']
-    assert shown_without_filter([made], values).low_passes['speed'].tau == pytest.approx(found[0.7].low_pass.tau, abs=0.01)
+    shown = shown_without_filter([made], values).low_passes
+    assert shown['speed'].tau == pytest.approx(found[0.7].low_pass.tau, abs=0.01)
     assert not shown_without_filter([made], {**values, 'speed.lag': 0.7}).low_passes
     write_recording(made, tmp_path / 'bag', speed_topic='/can/speed')
     result = configure([tmp_path / 'bag']).values
@@ -127,8 +128,8 @@ def test_with_the_low_pass_told_innovations_are_those_of_an_input_without(name, 
             name: made.streams()[name]})).measured
         z = found.record[found.kind == kind, component]
         spread[told] = np.sqrt(np.mean(z[len(z) // 4:] ** 2)) / noise
-    # then with it only their noise is left, and what the state may be off by
-    assert spread[0.7] < 1.07 and spread[0.0] > offset_alone
+    # then with it only their noise is left, and what the state and its scale may be off by
+    assert spread[0.7] < min(1.2, 0.93 * spread[0.0]) and spread[0.0] > offset_alone
 
 
 def test_configure_sets_topic_unit_and_offset_of_a_can_speed_and_the_checker_agrees(tmp_path):

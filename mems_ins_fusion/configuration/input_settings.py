@@ -169,6 +169,22 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
         turned = float(np.median([one.turned for one in seen]))
         yield Setting(f'{name}.offset', round(turned, 4), (f'it is {math.degrees(turned):.1f} deg clockwise from the '
                                                            'course of the fixes',))
+    axes = [one.axes for one in seen if one.axes is not None]
+    if axes:
+        yaw, sigma = (float(x) for x in weighted(*(np.array([getattr(one, part) for one in axes])
+                                                   for part in ('yaw', 'sigma'))))
+        sure = is_sure(yaw, sigma, OF_SEVERAL)
+        yield Setting(f'{name}.yaw', round(yaw, 4) if sure else 0.0, (
+            f'straight on it moves sideways: its axes are turned to the left by {math.degrees(yaw):.1f} +- '
+            f'{math.degrees(sigma):.1f} deg{"" if sure else at_zero(OF_SEVERAL)}',))
+    flows = [one.dynamic for one in seen if one.dynamic is not None]
+    if flows:
+        share, sigma = (float(x) for x in weighted(*(np.array([getattr(one, part) for one in flows])
+                                                     for part in ('share', 'sigma'))))
+        sure = is_sure(share, sigma, OF_SEVERAL)
+        yield Setting(f'{name}.dynamic', round(share, 2) if sure else 0.0, (
+            f'its heights beside those of the fixes have {share:.2f} +- {sigma:.2f} of the dynamic pressure'
+            f'{"" if sure else at_zero(OF_SEVERAL)}',))
     noise = [one.sigma for one in seen if one.sigma is not None]
     if noise:
         yield Setting(f'{name}.sigma', float(f'{max(noise):.2g}'), (

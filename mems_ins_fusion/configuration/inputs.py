@@ -17,7 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mems_ins_fusion.configuration.baseline import estimate_baseline
+from mems_ins_fusion.configuration.dynamic_pressure import DynamicPressure, estimate_dynamic_pressure
 from mems_ins_fusion.configuration.mounting import Mounting
+from mems_ins_fusion.configuration.odometry_axes import OdometryAxes, estimate_odometry_axes
 from mems_ins_fusion.configuration.offset import FLOOR
 from mems_ins_fusion.configuration.receiver import TOO_SURE
 from mems_ins_fusion.configuration.second_imu import compare_imus
@@ -40,7 +42,7 @@ from mems_ins_fusion.recordings.aiding import (
 from mems_ins_fusion.recordings.findings import INFO, SURE
 from mems_ins_fusion.recordings.motion import scatter_at_rest, sigmas
 from mems_ins_fusion.recordings.units import find_units, in_si
-from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Twists
+from mems_ins_fusion.samples import Displacements, Fixes, ImuSamples, Pressures, Speeds, Twists
 
 #: kinds of measurements that contain the forward speed
 WHEELED = 'speed', 'twist', 'pose'
@@ -69,12 +71,13 @@ class InputShown:
 
     measurement: its kind. why: how that is known, in words. factor: converts it to SI units. turned: rad, constant
     error of a heading, clockwise. lag: time offset, s, and its sigma, None if unknown; of a further receiver against
-    the first one; low_pass: of which a low pass makes a part, None if unknown. arm: (3,) m, forward-left-up, and its
-    sigma (3,), infinite if unknown; from the IMU, of a further receiver from the first antenna. sigma: m, of the white
-    noise of a receiver that states less; else None. rotation: of a further IMU, (3, 3) from its axes to those of the
-    first one, and its sigma, rad; units: those of its accelerometers and gyroscopes. unplaced: in words, why `arm` is
-    not known well enough; empty if it is. Such an input is used only if the transforms contain its place. messages:
-    their number and rate, in words. """
+    the first one; low_pass: of which a low pass makes a part, None if unknown. axes: of an odometry, dynamic: of a pressure, None if unknown.
+    arm: (3,) m, forward-left-up, and its sigma (3,), infinite if unknown; from the IMU, of a further receiver from the
+    first antenna. sigma: m, of the white noise of a receiver that states less; else None. rotation: of a further IMU,
+    (3, 3) from its axes to those of the first one, and its sigma, rad; units: those of its accelerometers and
+    gyroscopes. unplaced: in words, why `arm` is not known well enough; empty if it is. Such an input is used only if
+    the transforms contain its place. messages: their number and rate, in words.
+    """
 
     topic: str
     measurement: Measurement
@@ -83,6 +86,8 @@ class InputShown:
     turned: float = 0.0
     lag: tuple[float, float] | None = None
     low_pass: LowPass | None = None
+    axes: OdometryAxes | None = None
+    dynamic: DynamicPressure | None = None
     arm: tuple[np.ndarray, np.ndarray] = (np.zeros(3), np.full(3, np.inf))
     sigma: float | None = None
     rotation: tuple[np.ndarray, float] | None = None
@@ -145,7 +150,8 @@ def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
     if 'pressure' in read:
         factor = pressure_factor(read['pressure'])
         return LeftOut(topic, 'no pressure of the air in any unit') if factor is None else InputShown(
-            topic, TYPES['pressure'], 'of the air by its size', factor)
+            topic, TYPES['pressure'], 'of the air by its size', factor,
+            dynamic=dynamic_of(read['pressure'], factor, fixes))
     if 'magnetometer' in read:
         return _magnetometer(topic, read['magnetometer'], fixes)
     if 'pose' in read and (not read['twist'].twist.any() if 'twist' in read else OTHER_SENSORS.search(topic)):
@@ -215,8 +221,9 @@ def _points_along(velocities, fixes) -> bool:
 
 def _timed(shown: InputShown, read, imu, fixes, rotation) -> InputShown:
     """`shown` with its time offset and, for wheels, their place."""
-    clock = clock_of(shown.measurement.name, _in_si(read[shown.measurement.name], shown.factor), imu, fixes, rotation)
-    shown = replace(shown, lag=clock.lag, low_pass=clock.low_pass)
+    samples = _in_si(read[shown.measurement.name], shown.factor)
+    clock = clock_of(shown.measurement.name, samples, imu, fixes, rotation)
+    shown = replace(shown, lag=clock.lag, low_pass=clock.low_pass, axes=axes_of(samples))
     if (left := clock.left) is None:
         return shown
     return replace(shown, arm=(np.array([0.0, left[0], 0.0]), np.array([np.inf, left[1], np.inf])))
@@ -227,6 +234,18 @@ def _in_si(samples, factor: float):
     if isinstance(samples, Speeds):
         return replace(samples, speed=factor * samples.speed)
     return replace(samples, twist=samples.twist * [factor, factor, 1.0]) if isinstance(samples, Twists) else samples
+
+
+def axes_of(samples) -> OdometryAxes | None:
+    """How an odometry or poses are turned against the vehicle; None for other samples, and where it does not show."""
+    return estimate_odometry_axes(samples) if isinstance(samples, (Twists, Displacements)) else None
+
+
+def dynamic_of(pressures: Pressures, factor: float, fixes: Fixes | None) -> DynamicPressure | None:
+    """Which share of the dynamic pressure `pressures` times `factor`, Pa, have; None without fixes that show it."""
+    if fixes is None:
+        return None
+    return estimate_dynamic_pressure(replace(pressures, pressure=factor * pressures.pressure), fixes)
 
 
 class Clock(NamedTuple):

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mems_ins_fusion.configuration.mounting import Mounting, deviation
+from mems_ins_fusion.configuration.odometry_axes import OdometryAxes
 from mems_ins_fusion.configuration.speed_offset import LowPass
 from mems_ins_fusion.filter.prediction import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
@@ -40,9 +41,10 @@ class Remaining:
 @dataclass(frozen=True)
 class ClockLeft(Remaining):
     """What is left of the time offset of an input. low_pass: that it shows, as if none were declared, None where it
-    shows nothing of one."""
+    shows nothing of one. axes: what is left of how an odometry is turned, None where that does not show."""
 
     low_pass: LowPass | None = None
+    axes: OdometryAxes | None = None
 
 
 def remaining_of(found: Mounting | None, values: Mapping) -> tuple[Remaining, ...]:

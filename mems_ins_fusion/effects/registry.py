@@ -20,6 +20,8 @@ from mems_ins_fusion.effects.gyroscope_warm_up import GyroscopeWarmUp
 from mems_ins_fusion.effects.imu_jitter import ImuJitter
 from mems_ins_fusion.effects.imu_repeats import ImuRepeats
 from mems_ins_fusion.effects.mounting_rotation import MountingRotation
+from mems_ins_fusion.effects.odometry_yaw import OdometryYaw
+from mems_ins_fusion.effects.pressure_dynamic import PressureDynamic
 from mems_ins_fusion.effects.rear_axle import RearAxle
 from mems_ins_fusion.effects.sideslip import Sideslip
 from mems_ins_fusion.effects.speed_scale import SpeedScale
@@ -29,25 +31,30 @@ from mems_ins_fusion.effects.tilt import Tilt
 EFFECTS: dict[str, Effect] = {effect.name: effect for effect in (
     GnssTimeOffset(), GnssLeverArm(), GnssColouredNoise(), AccelerometerScale(), GyroscopeScale(), MountingRotation(),
     Tilt(), GSensitivity(), Temperature(), AccelerometerLeverArm(), Sideslip(),
-    GnssLag(), GnssLatency(), RearAxle(), SpeedScale(), *TIME_OFFSETS, *LAGS, GyroscopeWarmUp(), GnssOutliers(),
+    GnssLag(), GnssLatency(), RearAxle(), SpeedScale(), *TIME_OFFSETS,
+    *LAGS, OdometryYaw('twist'), PressureDynamic('pressure'), GyroscopeWarmUp(), GnssOutliers(),
     ImuRepeats(), ImuJitter(),
 )}
-_OFFSET_OF, _LAG_OF = '_time_offset', '_lag'  # ends of the names of effects of an input
+#: effects of an input, by the ends of their names and of the parameters that an input has which can have them
+_OF_INPUT = {'_lag': ('lag', AidingLag), '_yaw': ('yaw', OdometryYaw), '_dynamic': ('dynamic', PressureDynamic)}
+_OFFSET_OF = '_time_offset'
 
 
 def effects_of(values: Mapping) -> tuple[Effect, ...]:
     """All, and those of the inputs that the checked parameters `values` name."""
     names = values.get('inputs', ())
     return (*EFFECTS.values(), *(time_offset_of(name) for name in names),
-            *(AidingLag(name) for name in names if f'{name}.lag' in values))
+            *(effect(name) for parameter, effect in _OF_INPUT.values() for name in names
+              if f'{name}.{parameter}' in values))
 
 
 def effect_called(name: str) -> Effect:
     """The effect `name`; one without words where there is none of that name."""
     if name in EFFECTS:
         return EFFECTS[name]
-    if name.endswith(_LAG_OF):
-        return AidingLag(name.removesuffix(_LAG_OF))
+    for end, (_, effect) in _OF_INPUT.items():
+        if name.endswith(end):
+            return effect(name.removesuffix(end))
     if not name.endswith(_OFFSET_OF):
         return Effect()
     inputs = name.removesuffix(_OFFSET_OF).split(AND)

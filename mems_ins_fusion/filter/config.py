@@ -227,7 +227,8 @@ class FilterConfig:
         """Configured factors, offsets and time offsets of the inputs in use. The filter's states are corrections to
         these."""
         return [value for settings in self.sensors.values() if settings.topic
-                for value in (settings.factor, settings.offset, settings.time_offset, settings.lag)]
+                for value in (settings.factor, settings.offset, settings.time_offset, settings.lag,
+                              settings.yaw)]
 
     @property
     def latest(self) -> float:

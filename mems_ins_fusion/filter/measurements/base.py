@@ -31,8 +31,9 @@ class SensorSettings:
     sigma: standard deviation; 0: that of the message, or default_sigma where the message has none. offset: value of the
     parameter that `Measurement.offset` names. factor: SI units per unit of the messages. time_offset: s by which the
     stamps are later than the IMU's clock; for measurements at the GNSS antenna, in addition to gnss.time_offset. lag:
-    time constant of the low pass that it comes through, s. turn: settings of the turn rate, None where the input has
-    none. """
+    time constant of the low pass that it comes through, s. yaw: rad, by which an odometry is turned to the left. turn:
+    settings of the turn rate, None where the input has none.
+    """
 
     topic: str
     sigma: float
@@ -41,6 +42,7 @@ class SensorSettings:
     factor: float = 1.0
     time_offset: float = 0.0
     lag: float = 0.0
+    yaw: float = 0.0
     turn: SensorSettings | None = None
 
 
@@ -51,16 +53,16 @@ class Measurement:
 
     kind: unique number. name: prefix of the parameters (`NAME_topic`, `NAME.sigma`), and name of the samples in a
     recording. samples: their class. unit: of the values. topic_text: description of `NAME_topic`. default_sigma:
-    default of `NAME.default_sigma`. offset: name of the parameter for a known constant error (`NAME.offset` or
+    default of `NAME.default_sigma`. offset: name of the parameter for a known constant error (such as `NAME.offset` or
     `NAME.scale`), '' without. components: number of components of the innovation that are tested together. messages:
     ROS types that carry it, each with the fields that `read` needs; recordings are written with the first type.
     layouts: for message types that no other part of the package reads: (field, NumPy type of an element, number of
     elements) of each field after the header. written_to: topic in recordings that this package writes. of_antenna:
     whether it is measured at the GNSS antenna, with the receiver's stamps. from_satellites: whether it is withheld in
     an outage. of_two: whether a sample is computed from two messages. needs_height: whether it can only be used with a
-    mechanization that has a height. has_arm: whether it depends on where in the vehicle it is measured.
-    has_lag: whether the filter knows a low pass that it comes through (`NAME.lag`).
-    simulated_with: rate (Hz; 0: not simulated) and errors in simulations, by the names of `simulation.Aiding`.
+    mechanization that has a height. has_arm: whether it depends on where in the vehicle it is measured. has_lag:
+    whether the filter knows a low pass that it comes through (`NAME.lag`). simulated_with: rate (Hz; 0: not simulated)
+    and errors in simulations, by the names of `simulation.Aiding`.
 
     Of an input: number, equal to `kind` for the unnamed one; state: name of its first optional state, '' without; arm:
     lever arm (3,) from the IMU, body axes, m, of a named one.

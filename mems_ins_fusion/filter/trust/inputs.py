@@ -281,12 +281,14 @@ def integrate_displacement(mem, r, at, n, c, sample):
     x, y, z = arm_of(mem, at)
     yaw_variance, density = 0.0, SPEED_CORRELATION * mem[at + Event.R_NN]
     kind, error = mem[at + Event.KIND], _constant_error(mem, at)
-    known, unfollowed = mem[r + NAV + error] if error >= 0 else 0.0, mem[seen_of(mem, r, at) + Seen.UNFOLLOWED]
+    known = mem[r + NAV + error] if error >= 0 else 0.0
+    unfollowed = mem[seen_of(mem, r, at) + Seen.UNFOLLOWED]
     if kind == Kind.VELOCITY:  # it has directions of its own
         v_n, v_e = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
     elif is_of_heading(kind):  # a displacement along the heading
         forward = body_velocity(mem, r, vehicle_to_level(mem, r, c), 0)
-        yaw = magnetometer.heading(mem, r, at, c) if kind == Kind.MAGNETIC else mem[at + Event.VALUE] - known + unfollowed
+        yaw = (magnetometer.heading(mem, r, at, c) if kind == Kind.MAGNETIC else
+               mem[at + Event.VALUE] - known + unfollowed)
         v_n, v_e = math.cos(yaw) * forward, math.sin(yaw) * forward
         x, y, z = _axle(mem, r), 0.0, 0.0
         density *= forward * forward
