@@ -3,8 +3,8 @@
 height by pressure - height of the fix = weather - share v^2 / (2 g). The weather and the slow errors of a receiver are
 taken as constant in each stretch of the drive, so only changes of the speed within one count. The speed between two
 fixes has their noise, with which least squares would find too small a share. So the speed some fixes before and after
-takes its place on the left of the normal equation, as its noise is another (instrumental variables, P. G. Wright, 1928).
-Sigma by the jackknife over the stretches.
+takes its place on the left of the normal equation, as its noise is another (instrumental variables, P. G. Wright,
+1928). Sigma by the jackknife over the stretches.
 """
 from __future__ import annotations
 

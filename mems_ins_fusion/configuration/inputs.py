@@ -71,12 +71,12 @@ class InputShown:
 
     measurement: its kind. why: how that is known, in words. factor: converts it to SI units. turned: rad, constant
     error of a heading, clockwise. lag: time offset, s, and its sigma, None if unknown; of a further receiver against
-    the first one; low_pass: of which a low pass makes a part, None if unknown. axes: of an odometry, dynamic: of a pressure, None if unknown.
-    arm: (3,) m, forward-left-up, and its sigma (3,), infinite if unknown; from the IMU, of a further receiver from the
-    first antenna. sigma: m, of the white noise of a receiver that states less; else None. rotation: of a further IMU,
-    (3, 3) from its axes to those of the first one, and its sigma, rad; units: those of its accelerometers and
-    gyroscopes. unplaced: in words, why `arm` is not known well enough; empty if it is. Such an input is used only if
-    the transforms contain its place. messages: their number and rate, in words.
+    the first one; low_pass: of which a low pass makes a part, None if unknown. axes: of an odometry, dynamic: of a
+    pressure, None if unknown. arm: (3,) m, forward-left-up, and its sigma (3,), infinite if unknown; from the IMU, of a
+    further receiver from the first antenna. sigma: m, of the white noise of a receiver that states less; else None.
+    rotation: of a further IMU, (3, 3) from its axes to those of the first one, and its sigma, rad; units: those of its
+    accelerometers and gyroscopes. unplaced: in words, why `arm` is not known well enough; empty if it is. Such an input
+    is used only if the transforms contain its place. messages: their number and rate, in words.
     """
 
     topic: str
