@@ -18,11 +18,28 @@ from mems_ins_fusion.compiled import njit
 from ...navigation.earth import STANDARD_GRAVITY
 from ...parameters.parameter import Parameter
 from ...samples import Pressures
-from ..memory import NAV, Error, Event, Kind, Nav
+from ..memory import NAV, Error, Event, Head, Kind, Nav, velocity_variance
+from ..trust.scale import Scale, seen_of
 from .base import Measurement
 from .geometry import add
 from .records import empty, refuse, stated_or
 from .time_offset import add_time_offset
+
+#: s for which an error of the velocity lasts: all pressures of that time tell no more than one of what it makes of them
+LASTING = 10.0
+
+
+@njit(_nrt=False)
+def _add_second_order(mem, r, at, share, state):
+    """Set R of the record at `at` to the variance of the pressure and what H leaves out: the product of the errors of
+    share and velocity, and the square of that of the velocity. state: index of the share; P is in the scratch."""
+    n = int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
+    unknown = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * state]
+    speeds = velocity_variance(mem, r) / STANDARD_GRAVITY**2
+    squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
+    more = unknown * squared * speeds + 0.5 * (share * share + unknown) * (STANDARD_GRAVITY * speeds) ** 2
+    since = mem[at + Event.TIME] - mem[seen_of(mem, r, at) + Scale.TIME]
+    mem[at + Event.R_NN] = mem[at + Event.VALUE + 2] + max(1.0, LASTING / max(since, 1e-3)) * more
 
 
 @njit(_nrt=False)
@@ -37,6 +54,7 @@ def observe(mem, r, at, h):
     if bias >= 0:
         mem[h + bias], mem[h + bias + 1] = -1.0, flow
         share += mem[r + NAV + bias + 1]
+        _add_second_order(mem, r, at, share, bias + 1)
     add(mem, h, Error.V_N, -share * north / STANDARD_GRAVITY)
     add(mem, h, Error.V_E, -share * east / STANDARD_GRAVITY)
     return 1
@@ -110,6 +128,7 @@ class Pressure(Measurement):
         there = np.where(possible, pressure, SEA_LEVEL)
         r[:, Event.VALUE], r[:, Event.VALUE + 1] = height_of(there), settings.offset
         r[:, Event.R_NN] = stated_or(pressures.variance, settings, SMALLEST_SIGMA) * metres_per_pascal(there) ** 2
+        r[:, Event.VALUE + 2] = r[:, Event.R_NN]
         return r, reasons, {}
 
     def off(self, measured, innovation):
