@@ -65,19 +65,24 @@ GOOD_IMU = {'accelerometer.gauss_markov.sigma': [0.01], 'gyroscope.gauss_markov.
             'accelerometer.initial_sigma': [0.02], 'gyroscope.initial_sigma': [1e-3]}
 #: effects that need more than the defaults: two show only through the constraint that they violate
 SETTINGS = {'sideslip': {'vehicle.non_holonomic': True}, 'mounting_rotation': {'vehicle.non_holonomic': True},
-            'g_sensitivity': GOOD_IMU,
+            'g_sensitivity': GOOD_IMU, 'twist_yaw': {'twist.yaw_sigma': 1e-6},
+            'pressure_dynamic': {'pressure.dynamic_sigma': 1e-6},
             'gnss_coloured_noise': GOOD_IMU}
 #: further inputs: their rates, Hz, and the effects that only a recording with them shows, with that of their stamps
-RATES = {'speed': 10.0, 'velocity': 5.0, 'heading': 5.0, 'twist': 20.0}
-STAMPS = {f'{name}_time_offset': name for name in RATES}
-#: smoothed by a low pass whose time constant, s, is one of these: late by that
-LAGS = {f'{name} lag': f'{name}_time_offset' for name in RATES}
-SMALLEST_LAG, LARGEST_LAG = 0.15, 0.5
+RATES = {'speed': 10.0, 'velocity': 5.0, 'heading': 5.0, 'twist': 20.0, 'pressure': 10.0}
+STAMPS = {f'{name}_time_offset': name for name in RATES if name != 'pressure'}
+#: smoothed by a low pass with a time constant, s, between these: late by that, and more than late
+LAGS = {f'{name} lag': f'{name}_lag' for name in STAMPS.values()}
+SMALLEST_LAG, LARGEST_LAG = 0.3, 1.2
+#: what the filter estimates by itself unless it is told not to (SETTINGS)
+ESTIMATED = {'twist_yaw': 'twist', 'pressure_dynamic': 'pressure'}
+#: input of each effect of one
+OF_INPUT = STAMPS | {f'{name}_lag': name for name in STAMPS.values()} | ESTIMATED
 HILLS = 'hills'  # the road's grade tilts the body: the library's tilt, without a value
 #: effects whose simulated parameters are estimated, on level roads; those of real roads: diagnosis_on_roads.py
 FLAT = ('gnss_time_offset', 'gnss_lever_arm', 'gnss_coloured_noise', 'accelerometer_scale', 'gyroscope_scale',
         'mounting_rotation', 'tilt', 'g_sensitivity', 'temperature', 'accelerometer_lever_arm', 'sideslip')
-SINGLE = (*FLAT, HILLS, *STAMPS, *LAGS)
+SINGLE = (*FLAT, HILLS, *STAMPS, *LAGS, *ESTIMATED)
 #: pairs of effects that are not each other's group
 PAIRS = (('gnss_time_offset', 'gyroscope_scale'), ('gnss_lever_arm', 'accelerometer_scale'),
          ('gnss_time_offset', 'mounting_rotation'), ('gyroscope_scale', 'gnss_lever_arm'),
@@ -111,8 +116,8 @@ def settings(names) -> dict:
     values = {'reference_lever_arm': [0.0, 0.0, 0.0]}
     for name in names:
         values |= SETTINGS.get(name, {})
-        if name in STAMPS:
-            values[f'{STAMPS[name]}_topic'] = f'/{STAMPS[name]}'
+        if name in OF_INPUT:
+            values[f'{OF_INPUT[name]}_topic'] = f'/{OF_INPUT[name]}'
     return table.check(values)
 
 
@@ -139,8 +144,9 @@ def simulated(names, seed: int, truth: dict, hills: bool = False):
     effects = {**EFFECTS, **{e.name: e for e in OUTSIDE}}
     drive = simulate_drive(DURATION, seed, hills=hills)
     return simulate_recording(drive, sensors, RECEIVER, [(effects[n], theta) for n, theta in truth.items()],
-                              seed=seed, aiding=Aiding(**{f'{STAMPS[name]}_rate': RATES[STAMPS[name]]
-                                                          for name in names if name in STAMPS})).recording
+                              seed=seed, aiding=Aiding(twist_lateral_sigma=0.05, **{
+                                  f'{OF_INPUT[name]}_rate': RATES[OF_INPUT[name]] for name in names
+                                  if name in OF_INPUT})).recording
 
 
 def draw(names, seed: int, scenario: str = '') -> dict:
@@ -148,7 +154,7 @@ def draw(names, seed: int, scenario: str = '') -> dict:
     rng = stream(seed, 'study ' + (scenario if scenario in LAGS else ' '.join(names)))
     truth = {}
     if scenario in LAGS:
-        return {LAGS[scenario]: {'lag': rng.uniform(SMALLEST_LAG, LARGEST_LAG)}}
+        return {LAGS[scenario]: {'tau': rng.uniform(SMALLEST_LAG, LARGEST_LAG)}}
     for name in names:
         outside = {e.name: e for e in OUTSIDE}
         if name in outside:
@@ -239,13 +245,15 @@ def ratios(one: Measured, other: Measured) -> list[float]:
 def scenarios() -> dict[str, tuple[str, ...]]:
     """Names of the scenarios and the effects in each."""
     return {'none': (), **{name: (name,) for name in FLAT}, HILLS: (),
-            **{name: (name,) for name in STAMPS}, **{name: (effect,) for name, effect in LAGS.items()},
+            **{name: (name,) for name in (*STAMPS, *ESTIMATED)}, **{name: (effect,) for name, effect in LAGS.items()},
             **{' + '.join(p): p for p in PAIRS},
             **{e.name: (e.name,) for e in OUTSIDE}}
 
 
 def right(case: Case, group) -> bool:
     wanted = {'tilt'} if case.scenario == HILLS else set(case.true)
+    if case.scenario in LAGS:  # most of it is an offset
+        wanted.add(f'{OF_INPUT[LAGS[case.scenario]]}_time_offset')
     return bool(wanted & set(group))
 
 

@@ -224,8 +224,9 @@ def test_effects_that_cannot_show_say_why(drive):
     hidden = {name: effect.hidden(values, recording) for name, effect in EFFECTS.items()}
     assert {name for name, why in hidden.items() if why} == {
         'temperature', 'sideslip', 'mounting_rotation', 'rear_axle', 'speed_scale', 'speed_time_offset',
-        'velocity_time_offset', 'heading_time_offset', 'twist_time_offset', 'magnetometer_time_offset',
-        'pressure_time_offset', *SEEN}
+        'velocity_time_offset', 'heading_time_offset', 'twist_time_offset', 'magnetometer_time_offset', 'twist_yaw',
+        'pressure_dynamic',
+        'pressure_time_offset', *(name for name in EFFECTS if name.endswith('_lag') and name != 'gnss_lag'), *SEEN}
     assert 'temperature_topic' in hidden['temperature']
     assert 'vehicle.non_holonomic' in hidden['sideslip'] and 'vehicle.non_holonomic' in hidden['mounting_rotation']
     # and where they can, they do not

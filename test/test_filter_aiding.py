@@ -46,7 +46,7 @@ STATES = {'imu.mounting_sigma': 0.03, 'vehicle.rear_axle_sigma': 0.4, 'speed.sca
           'gnss.coloured_noise.sigma': 0.8, 'gnss.lever_arm': [1.2, -0.7, 1.5], 'vehicle.rear_axle': [-1.1, 0.3, -0.6]}
 OPTIONAL = {'coloured_n': 0.8, 'coloured_e': 0.8, 'mounting_pitch': 0.03, 'mounting_yaw': 0.03, 'axle_x': 0.4,
             'speed_scale': 0.02, 'axle_y': 0.4, 'twist_scale': 0.02, 'twist_turn_scale': 0.1,
-            **{f'{name}_time_offset': 0.1 for name in ('speed', 'velocity', 'twist', 'heading')}}
+            'twist_yaw': 0.05, **{f'{name}_time_offset': 0.1 for name in ('speed', 'velocity', 'twist', 'heading')}}
 ARM, AXLE = FLU * STATES['gnss.lever_arm'], FLU * STATES['vehicle.rear_axle']
 ATTITUDE = (0.05, -0.08, 0.7)
 
@@ -99,15 +99,17 @@ class Model:
         return (self.attitude * self.sits).inv().apply(self.acceleration)[:1]
 
     def twist(self, e):
-        velocity, attitude = self.true(e)
-        axle = AXLE + np.array([self.of(e, 'axle_x'), 0.0, 0.0])
-        at_axle = (attitude * self.sits).inv().apply(velocity) + np.cross(self.rate, axle)
+        def at_axle(state):
+            velocity, attitude = self.true(state)
+            axle = AXLE + np.array([self.of(state, 'axle_x'), 0.0, 0.0])
+            return (attitude * self.sits).inv().apply(velocity) + np.cross(self.rate, axle)
 
         def turn_rate(state):  # of which the scale may be large, and is one with the gyroscope's error
             return np.array([(1 + self.of(state, 'twist_turn_scale')) * (FLU[2] * SAMPLE[5] - state[self.gyroscope])])
         slope = central_difference(lambda away: turn_rate(self.estimate + away), len(e), 1e-5)
         linear = turn_rate(self.estimate) + slope @ (e - self.estimate)
-        twist = np.append((1 + self.of(e, 'twist_scale')) * at_axle[:2], linear)
+        twist = np.append((1 + self.of(e, 'twist_scale')) * at_axle(e)[:2], linear)
+        twist[1] += self.of(e, 'twist_yaw') * at_axle(np.zeros(len(e)))[0]
         twist[0] -= self.of(e, 'twist_time_offset') * self.faster()[0]
         return twist
 

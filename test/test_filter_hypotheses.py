@@ -12,7 +12,7 @@ from test_filter_contradiction import BOTH, Drive, a_state
 
 from mems_ins_fusion.filter.bank import Bank
 from mems_ins_fusion.filter.measurements import acceleration
-from mems_ins_fusion.filter.memory import NAV, Event, Head, Nav, Verdict, state_at, velocity_variance
+from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, element_at, state_at, velocity_variance
 from mems_ins_fusion.filter.trust import fix_drift
 from mems_ins_fusion.filter.trust.fix_drift import FORGETTING_TIME, FixDrift
 from mems_ins_fusion.filter.trust.hypotheses import (
@@ -124,9 +124,8 @@ def test_right_fixes_of_a_wrong_imu_are_expected_as_a_vehicle_accelerates(interv
     # given a filter that uses no fixes, and an independent Kalman filter of its error: none at first but for P, and an
     # acceleration that is white noise
     _, memory, r = a_state()
-    n_navigation = int(memory[Head.N_NAVIGATION])
-    p = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
-    state, covariance = np.zeros((2, 2)), np.diag([memory[p], 0.5 * velocity_variance(memory, r)])
+    position = memory[element_at(memory, r, 0, 0)]
+    state, covariance = np.zeros((2, 2)), np.diag([position, 0.5 * velocity_variance(memory, r)])
     begin_refusing(memory, r, interval)
     assert memory[r + Hypothesis.IMU_NATS] == pytest.approx(math.log(1.0 / 100.0))
     step = np.array([[1.0, interval], [0.0, 1.0]])

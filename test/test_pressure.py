@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 from live_support import lived, same_bits
 
+from mems_ins_fusion.configuration.check import check_setup
 from mems_ins_fusion.configuration.configure import configure
+from mems_ins_fusion.configuration.dynamic_pressure import estimate_dynamic_pressure
+from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements.pressure import height_of, metres_per_pascal, pressure_at
 from mems_ins_fusion.filter.memory import Kind
@@ -23,11 +26,11 @@ from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
 
 
-def made(seed=5, duration=240.0, rate=50.0, vertical=4.0, **errors):
+def made(seed=5, duration=240.0, rate=50.0, vertical=4.0, effects=(), **errors):
     """A hilly drive with a barometer of 10 Hz, and fixes whose heights are poor."""
     drive = simulate_drive(duration, seed, rate, standstill=10.0, hills=True)
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
-    return simulate_recording(drive, sensors, GnssNoise(1.5, 1.0, vertical_sigma=vertical), seed=seed,
+    return simulate_recording(drive, sensors, GnssNoise(1.5, 1.0, vertical_sigma=vertical), effects, seed=seed,
                               aiding=Aiding(pressure_rate=10.0, **errors)).recording
 
 
@@ -64,8 +67,29 @@ def test_it_knows_the_height_where_fixes_do_not_and_in_an_outage():
         assert np.sqrt(np.mean((away / whole.sigma[settled, 2]) ** 2)) < 1.7
     # then heights are the better for it, and its bias is a state whose sigma holds
     assert error['with'] < 0.8 * error['without'] and lost['with'] < max(0.7 * lost['without'], 4.0)
-    assert whole.config.layout.names[-2:] == ('pressure_bias', 'pressure_time_offset')
-    assert whole.sigma[-1, -2] < 3.0
+    assert whole.config.layout.names[-3:] == ('pressure_bias', 'pressure_dynamic', 'pressure_time_offset')
+    assert whole.sigma[-1, -3] < 3.0
+
+
+@pytest.mark.parametrize('share', [-0.5, 0.0, 0.4])
+def test_the_flow_of_the_air_is_told_from_a_climb(share, tmp_path):
+    # given a barometer that measures a share of the dynamic pressure
+    recording = made(vertical=1.0, effects=[(EFFECTS['pressure_dynamic'], {'share': share})])
+    # when the filter knows nothing of it
+    result = run(config(), recording.imu, recording.gnss, Measured(pressure=recording.others['pressure']))
+    # then it is a state, as sure as it says, and heights are those of the fixes
+    at = result.config.layout.extras.index('pressure_dynamic')
+    sigma = result.sigma[-1, result.config.layout.index('pressure_dynamic')]
+    assert result.extras[-1, at] == pytest.approx(share, abs=3.0 * sigma) and sigma < 0.15
+    # and configure finds it without a filter, and the checker what is left of it
+    seen = estimate_dynamic_pressure(recording.others['pressure'], recording.gnss)
+    assert seen.share == pytest.approx(share, abs=3.0 * seen.sigma) and seen.sigma < 0.2
+    write_recording(recording, tmp_path / 'bag')
+    values = configure([tmp_path / 'bag']).values
+    assert values['pressure.dynamic'] == pytest.approx(share, abs=3.0 * seen.sigma)
+    said = [f for f in check_setup(recording, table.check({**values, 'pressure.dynamic': -share}))
+            if 'dynamic pressure' in f.message]
+    assert [f.severity for f in said] == ['warning' if share else 'info']
 
 
 def test_a_window_that_opens_is_not_taken_for_a_climb():

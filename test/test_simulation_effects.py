@@ -47,7 +47,9 @@ TOUCHED = {
     'accelerometer_lever_arm': 'xy.......', 'sideslip': 'xy...z...',
     'gnss_lag': '......NE.', 'gnss_latency': '......NE.', 'gnss_outliers': '......NED', 'rear_axle': 'xy....NE.',
     **dict.fromkeys(('speed_scale', 'speed_time_offset', 'velocity_time_offset', 'heading_time_offset',
-                     'twist_time_offset', 'magnetometer_time_offset', 'pressure_time_offset'), '.........'),
+                     'twist_time_offset', 'magnetometer_time_offset', 'pressure_time_offset', 'speed_lag',
+                     'velocity_lag', 'heading_lag', 'twist_lag', 'magnetometer_lag', 'pressure_lag',
+                     'twist_yaw', 'pressure_dynamic'), '.........'),
     'gyroscope_warm_up': '.....z...', 'imu_repeats': 'xyzxyz...', 'imu_jitter': '.........',
 }
 
@@ -66,7 +68,7 @@ def test_an_effect_touches_what_it_should_and_nothing_else(drive, name):
 @pytest.mark.parametrize('name', EFFECTS)
 def test_an_effect_of_size_zero_is_no_effect(drive, name):
     # given all parameters at zero but those that scale nothing, a time constant
-    values = {p.name: 0.0 for p in EFFECTS[name].parameters if p.name not in ('tau', 'at') or name == 'gnss_lag'}
+    values = {p.name: 0.0 for p in EFFECTS[name].parameters if p.name not in ('tau', 'at') or name.endswith('_lag')}
     for change in changes(drive, name, **values):
         assert np.abs(change).max() < 1e-8
 
@@ -323,7 +325,7 @@ def test_what_is_measured_through_a_low_pass_lags_as_a_low_pass_does(drive, name
                    twist_sigma=0.0, twist_turn_sigma=0.0, twist_scale=0.0, twist_turn_scale=0.0,
                    magnetometer_sigma=0.0, magnetometer_disturbance=0.0)
     lagging, plain = (np.asarray(getattr(simulate_recording(drive, SENSORS, RECEIVER, [(
-        EFFECTS[f'{name}_time_offset'], {'lag': lag})], seed=6, aiding=quiet).recording.streams()[name], value))
+        EFFECTS[f'{name}_lag'], {'tau': lag})], seed=6, aiding=quiet).recording.streams()[name], value))
         for lag in (tau, 0.0))
     plain, lagging = (np.unwrap(one) if value == 'yaw' else one for one in (plain, lagging))
     smooth, weight = plain.copy(), 1.0 - np.exp(-1.0 / (rate * tau))

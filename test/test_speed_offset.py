@@ -26,13 +26,14 @@ from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorError
 MOUNTING = (0.0, 0.05, 0.4)
 
 
-def drive_with_wheels(offset=0.0, seed=4, duration=200.0, velocity_rate=0.0):
+def drive_with_wheels(offset=0.0, seed=4, duration=200.0, velocity_rate=0.0, lag=0.0, **aided):
     drive = simulate_drive(duration, seed, 100.0, standstill=10.0, hills=True, pitch_per_acceleration=0.005,
                            axle_to_imu=(1.5, 0.3, 0.0))
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
-    effects = [(EFFECTS['speed_time_offset'], {'time_offset': offset})]
+    effects = [(EFFECTS['speed_time_offset'], {'time_offset': offset}),
+               *((EFFECTS[f'{name}_lag'], {'tau': lag}) for name in ('speed', 'twist', 'heading'))]
     return simulate_recording(drive, sensors, GnssNoise(0.02, 5.0), effects, MOUNTING, seed,
-                              aiding=Aiding(speed_rate=10.0, velocity_rate=velocity_rate)).recording
+                              aiding=Aiding(speed_rate=10.0, velocity_rate=velocity_rate, **aided)).recording
 
 
 @pytest.mark.parametrize('offset', [-0.2, 0.0, 0.35])
@@ -74,6 +75,32 @@ def test_the_filter_takes_each_input_at_its_own_time():
         assert np.abs(mine.stamp - (samples.stamp[mine.index] - round(offset * 1e9))).max() < 1000
 
 
+def test_a_low_pass_is_told_from_stamps_that_are_late(tmp_path):
+    # given a speed that is 0.8 s late: by its stamps, or 0.7 s of it by a low pass
+    found = {}
+    for tau in (0.0, 0.7):
+        made = drive_with_wheels(0.8 - tau, lag=tau)
+        found[tau] = estimate_speed_offset(made.imu, made.speed, rotation_from_rpy(*MOUNTING))
+        # then it is as late in all
+        assert found[tau].lag == pytest.approx(0.8, abs=3.0 * found[tau].lag_sigma) and found[tau].lag_sigma < 0.05
+    assert not found[0.0].low_pass.certain and found[0.0].low_pass.tau < 0.35
+    assert found[0.7].low_pass.certain
+    assert found[0.7].low_pass.tau == pytest.approx(0.7, abs=3.0 * found[0.7].low_pass.sigma)
+    # and the checker, configure and diagnose tell it
+    values = table.check({'imu.mounting_rpy': list(MOUNTING), 'speed_topic': '/speed', 'speed.time_offset': 0.8})
+    said = [f for f in check_setup(made, values) if f.topic == 'imu/speed']
+    assert [f.severity for f in said] == ['info', 'warning'] and 'set speed.lag to 0.' in said[1].message
+    assert [f.severity for f in check_setup(made, {**values, 'speed.lag': 0.7}) if f.topic == 'imu/speed'] == [
+        'info', 'info']
+    shown = shown_without_filter([made], values).low_passes
+    assert shown['speed'].tau == pytest.approx(found[0.7].low_pass.tau, abs=0.01)
+    assert not shown_without_filter([made], {**values, 'speed.lag': 0.7}).low_passes
+    write_recording(made, tmp_path / 'bag', speed_topic='/can/speed')
+    result = configure([tmp_path / 'bag']).values
+    assert result['speed.lag'] == pytest.approx(0.7, abs=0.1) and (
+        result['speed.time_offset'] == pytest.approx(0.8, abs=0.1))
+
+
 def test_with_the_offset_told_innovations_of_the_speed_are_those_of_one_in_time():
     # given a speed that is 0.35 s late; m/s, RMS of its innovations
     made = drive_with_wheels(0.35)
@@ -85,6 +112,24 @@ def test_with_the_offset_told_innovations_of_the_speed_are_those_of_one_in_time(
         spread[told] = np.sqrt(np.mean(found.record[found.kind == Kind.SPEED, Event.Z_N] ** 2))
     # then: its noise is 0.05 m/s, and what is left of its scale of 1 % before it is found
     assert spread[0.35] < 0.08 < 0.15 < spread[0.0]
+
+
+@pytest.mark.parametrize(('name', 'component', 'noise', 'offset_alone'), [
+    ('speed', Event.Z_N, 0.05, 1.3), ('twist', Event.Z_N, 0.05, 1.3), ('twist', Event.Z_D, 0.01, 1.1),
+    ('heading', Event.Z_N, 0.02, 1.1)])
+def test_with_the_low_pass_told_innovations_are_those_of_an_input_without(name, component, noise, offset_alone):
+    # given what comes through a low pass of 0.7 s, and its offset declared alone, or with the low pass
+    made = drive_with_wheels(lag=0.7, twist_rate=20.0, heading_rate=10.0, heading_sigma=0.02)
+    kind, spread = {'speed': Kind.SPEED, 'twist': Kind.TWIST, 'heading': Kind.HEADING}[name], {}
+    for told in (0.0, 0.7):
+        values = table.check({f'{name}_topic': f'/{name}', 'imu.mounting_rpy': list(MOUNTING), f'{name}.lag': told,
+                              f'{name}.time_offset': 0.7, f'{name}.time_offset_sigma': 0.0})
+        found = run(FilterConfig.from_parameters(values), made.imu, made.gnss, Measured(**{
+            name: made.streams()[name]})).measured
+        z = found.record[found.kind == kind, component]
+        spread[told] = np.sqrt(np.mean(z[len(z) // 4:] ** 2)) / noise
+    # then with it only their noise is left, and what the state and its scale may be off by
+    assert spread[0.7] < min(1.2, 0.93 * spread[0.0]) and spread[0.0] > offset_alone
 
 
 def test_configure_sets_topic_unit_and_offset_of_a_can_speed_and_the_checker_agrees(tmp_path):
@@ -101,9 +146,9 @@ def test_configure_sets_topic_unit_and_offset_of_a_can_speed_and_the_checker_agr
     # and the checker has nothing to say of the file, but names the value where it is missing
     values = table.check(result.values)
     said = [f for f in check_setup(made, values) if f.topic == 'imu/speed']
-    assert [f.severity for f in said] == ['info']
+    assert [f.severity for f in said] == ['info', 'info'] and 'low pass' in said[1].message
     said = [f for f in check_setup(made, {**values, 'speed.time_offset': 0.0}) if f.topic == 'imu/speed']
-    assert [f.severity for f in said] == ['warning'] and 'set speed.time_offset to 0.3' in said[0].message
+    assert [f.severity for f in said] == ['warning', 'info'] and 'set speed.time_offset to 0.3' in said[0].message
 
 
 @pytest.mark.parametrize(('name', 'values', 'against'), [

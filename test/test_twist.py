@@ -8,6 +8,10 @@ import pytest
 from live_support import lived, same_bits
 from test_filter_displacement import drive, largest_errors
 
+from mems_ins_fusion.configuration.check import SMALL_YAW, check_setup
+from mems_ins_fusion.configuration.configure import configure
+from mems_ins_fusion.configuration.odometry_axes import estimate_odometry_axes
+from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Kind, Verdict
 from mems_ins_fusion.filter.runs.live import FusionFilter
@@ -17,6 +21,8 @@ from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.simulation.drive import simulate_drive
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
 
 
 def config(**values):
@@ -37,9 +43,9 @@ def test_the_turn_rate_may_count_the_other_way_or_have_a_track_that_is_not_known
     other = replace(right, twist=right.twist * [1, 1, turn])
     result = run(config(), recording.imu, recording.gnss, Measured(twist=other))
     # then its scale is found, and within its sigma; the simulator's own is 3 %
-    found, sigma = result.extras[-1, -2], result.sigma[-1, -2]
-    assert result.config.layout.names[-3:] == ('twist_scale', 'twist_turn_scale', 'twist_time_offset')
-    own = run(config(), recording.imu, recording.gnss, Measured(twist=right)).extras[-1, -2]
+    found, sigma = result.extras[-1, -3], result.sigma[-1, -3]
+    assert result.config.layout.names[-4:] == ('twist_scale', 'twist_turn_scale', 'twist_yaw', 'twist_time_offset')
+    own = run(config(), recording.imu, recording.gnss, Measured(twist=right)).extras[-1, -3]
     assert found == pytest.approx((1.0 + own) * turn - 1.0, abs=4.0 * sigma) and sigma < 0.03
     assert found == pytest.approx(scale, abs=0.1 * abs(turn) + 4.0 * sigma)
     # and the gyroscope's bias is the same
@@ -91,3 +97,27 @@ def test_a_twist_that_is_none_is_dropped_with_its_numbers():
     for value in ([np.nan, 0.0, 0.0], [1e300, 0.0, 0.0], [1.0, np.inf, 0.0]):
         fusion.add('twist', int(recording.imu.stamp[599]), np.array(value), np.zeros(3))
         assert any('dropped' in notice.text and '/odom' in notice.text for notice in fusion.notices())
+
+
+@pytest.mark.parametrize('yaw', [-0.06, 0.0, 0.25])
+def test_the_angle_of_an_odometry_is_found_by_filter_configure_and_checker(yaw, tmp_path):
+    # given a lidar's odometry that also knows the velocity sideways, in axes turned to the left by `yaw`
+    made = simulate_recording(simulate_drive(240.0, 3, 50.0, standstill=20.0), SensorErrors.from_parameters(
+        table.defaults(), 'gauss_markov'), GnssNoise(0.5, 2.0), [(EFFECTS['twist_yaw'], {'yaw': yaw})], seed=3,
+        aiding=Aiding(twist_rate=10.0, twist_lateral_sigma=0.05)).recording
+    # when the filter knows nothing of it
+    result = run(config(), made.imu, made.gnss, Measured(twist=made.others['twist']))
+    at = result.config.layout.extras.index('twist_yaw')
+    sigma = result.sigma[-1, result.config.layout.index('twist_yaw')]
+    # then it is a state, as sure as it says, and the odometry is used
+    assert result.extras[-1, at] == pytest.approx(yaw, abs=4.0 * sigma) and sigma < 0.01
+    assert result.measured.verdicts(Kind.TWIST).get(Verdict.REFUSED, 0) < 0.05 * len(made.others['twist'])
+    # and without a filter it is found as well
+    axes = estimate_odometry_axes(made.others['twist'])
+    assert axes.yaw == pytest.approx(yaw, abs=3.0 * axes.sigma) and axes.sigma < 0.005
+    write_recording(made, tmp_path / 'bag', twist_topic='/lidar/odometry')
+    values = configure([tmp_path / 'bag']).values
+    assert values['twist.yaw'] == pytest.approx(yaw, abs=0.01)
+    large = [f for f in check_setup(made, table.check({**values, 'twist.yaw': 0.0})) if 'set twist.yaw' in f.message]
+    assert len(large) == (abs(yaw) > SMALL_YAW)
+    assert not [f for f in check_setup(made, table.check(values)) if 'set twist.yaw' in f.message]

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from mems_ins_fusion.cli.command import Parser, run
+from mems_ins_fusion.effects.aiding_lag import AidingLag
 from mems_ins_fusion.effects.aiding_time_offset import AidingTimeOffset
 from mems_ins_fusion.effects.base import Effect
 from mems_ins_fusion.effects.registry import EFFECTS, effects_of
@@ -179,8 +180,10 @@ def _declared(values):
     coloured = {name: values[f'gnss.coloured_noise.{name}'] for name in ('sigma', 'tau')}
     return [(EFFECTS['gnss_time_offset'], {'time_offset': values['gnss.time_offset']}),
             (EFFECTS['gnss_lever_arm'], arm), (EFFECTS['gnss_coloured_noise'], coloured),
-            *((effect, {'time_offset': values[f'{effect.of}.time_offset']}) for effect in effects_of(values)
-              if isinstance(effect, AidingTimeOffset))]
+            *((effect, {'time_offset': values[f'{effect.of}.time_offset'] - values.get(f'{effect.of}.lag', 0.0)})
+              for effect in effects_of(values) if isinstance(effect, AidingTimeOffset)),
+            *((effect, {'tau': values[f'{effect.of}.lag']}) for effect in effects_of(values)
+              if isinstance(effect, AidingLag) and effect.known)]
 
 
 def _parser():

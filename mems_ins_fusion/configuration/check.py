@@ -8,10 +8,12 @@ import math
 
 import numpy as np
 
-from mems_ins_fusion.configuration.inputs import CLOCKED, clock_of
+from mems_ins_fusion.configuration.inputs import CLOCKED, axes_of, clock_of, dynamic_of
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
+from mems_ins_fusion.configuration.odometry_axes import OdometryAxes
 from mems_ins_fusion.configuration.receiver import TOO_SURE, assess_receiver
-from mems_ins_fusion.configuration.remaining import ANGLES, ARM, TIME_OFFSET, Remaining, remaining_of
+from mems_ins_fusion.configuration.remaining import ANGLES, ARM, TIME_OFFSET, ClockLeft, Remaining, remaining_of
+from mems_ins_fusion.configuration.speed_offset import MOST_SPRINGS, LowPass
 from mems_ins_fusion.configuration.vehicle import standstills_show
 from mems_ins_fusion.filter.measurements.registry import MEASUREMENTS, aiding
 from mems_ins_fusion.filter.memory import Kind
@@ -33,6 +35,8 @@ _BACKWARDS = math.radians(150.0)
 FASTEST_IN_REVERSE = 8.0  # m/s: a vehicle that goes faster than this goes forwards
 #: s; a time offset that is off by less is not warned of
 SMALL_OFFSET = 0.05
+#: a share of the dynamic pressure that is off by less is for the filter to find
+SMALL_SHARE = 0.3
 #: m; and a part of the antenna's arm
 SMALL_ARM = 0.3
 _FAR_BETTER = 0.05  # part of its sigma that a receiver scatters by, as no honest one does
@@ -63,7 +67,8 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
     elif not findings:
         findings.append(_mounting_left(found, values))
     return [*findings, *check_standstills(imu, fixes, values), *_check_offset(found, values),
-            *_check_sigma(imu, fixes, found, values), *_check_clocks(recording, imu, found, values)]
+            *_check_sigma(imu, fixes, found, values), *_check_clocks(recording, imu, found, values),
+            *_check_pressures(recording, fixes, values)]
 
 
 def check_standstills(imu: ImuSamples, fixes: Fixes | None, values: dict):
@@ -174,9 +179,32 @@ def _check_clocks(recording: Recording, imu: ImuSamples, found: Mounting | None,
     of_receiver = {one.name: one.of_antenna for one in aiding(values)}
     for name, left in clocks_left(recording, imu, found, values).items():
         yield _clock_finding(name, left, values[f'{name}.time_offset'], 'fixes' if of_receiver[name] else 'IMU')
+        if left.axes is not None:
+            yield _axes_finding(name, left.axes, values[f'{name}.yaw'])
+        if left.low_pass is not None:
+            yield _low_pass_finding(name, left.low_pass, values[f'{name}.lag'])
 
 
-def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict) -> dict[str, Remaining]:
+def _check_pressures(recording: Recording, fixes: Fixes, values: dict):
+    """What the parameters leave of the dynamic pressure of each barometer."""
+    streams = recording.streams()
+    for one in aiding(values):
+        if one.kind != Kind.PRESSURE or not values[one.topic] or one.name not in streams:
+            continue
+        seen = dynamic_of(streams[one.name], values[f'{one.name}.factor'], fixes)
+        if seen is None:
+            continue
+        left = seen.share - values[f'{one.name}.dynamic']
+        shown = {'share': seen.share, 'sigma': seen.sigma, 'left': left}
+        said = f'the {one.name} has {seen.share:.2f} +- {seen.sigma:.2f} of the dynamic pressure'
+        if abs(left) > max(SMALL_SHARE, SURE * seen.sigma):
+            yield Finding(WARNING, f'gnss/{one.name}', f'{said}: set {one.name}.dynamic to {seen.share:.2f}', shown,
+                          (f'{one.name}.dynamic',))
+        else:
+            yield Finding(INFO, f'gnss/{one.name}', said, shown)
+
+
+def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict) -> dict[str, ClockLeft]:
     """What the checked parameters `values` leave of the time offset of each input, by its name, as `recording` shows it
     without a filter; imu: its usable samples. Of those that are compared with the IMU only where the yaw of the
     mounting is shown."""
@@ -190,12 +218,12 @@ def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, v
             continue
         samples = measurement.declared(measurement.settings(values), streams[name])
         samples = samples.select(samples.stamp < imu.stamp[-1])
-        lag, _ = clock_of(kind, samples, imu, fixes, rotation)
-        lag, sigma = lag or (0.0, math.inf)
+        clock = clock_of(kind, samples, imu, fixes, rotation)
+        lag, sigma = clock.lag or (0.0, math.inf)
         declared = values[f'{name}.time_offset']
         if measurement.of_antenna and not measurement.is_plain:  # that of the plain one is beside gnss.time_offset
             declared -= values['gnss.time_offset']
-        left[name] = Remaining(TIME_OFFSET, lag - declared, sigma)
+        left[name] = ClockLeft(TIME_OFFSET, lag - declared, sigma, clock.low_pass, axes_of(samples))
     return left
 
 
@@ -210,6 +238,31 @@ def _clock_finding(name: str, left: Remaining, declared: float, against: str) ->
     beside = f' beside {name}.time_offset {declared:g} s' if declared else ''
     return Finding(INFO, topic, f'the {name} is of the time of its stamps{beside}: {left.value:.3f} +- '
                    f'{left.sigma:.3f} s', shown)
+
+
+def _axes_finding(name: str, left: OdometryAxes, declared: float) -> Finding:
+    shown = {'yaw_rad': declared + left.yaw, 'sigma_rad': left.sigma, 'left_rad': left.yaw}
+    turned = f'{math.degrees(left.yaw):.1f} +- {math.degrees(left.sigma):.1f} deg'
+    if abs(left.yaw) > max(SMALL_YAW, SURE * left.sigma):
+        return Finding(WARNING, f'imu/{name}', f'the axes of the {name} are turned to the left by {turned} beside '
+                       f'{name}.yaw: set {name}.yaw to {declared + left.yaw:.3f}', shown, (f'{name}.yaw',))
+    return Finding(INFO, f'imu/{name}', f'the axes of the {name} are those of the vehicle, beside {name}.yaw '
+                   f'{declared:g}: {turned}', shown)
+
+
+def _low_pass_finding(name: str, seen: LowPass, declared: float) -> Finding:
+    shown = {'low_pass_s': seen.tau, 'sigma_s': seen.sigma}
+    if seen.certain and abs(seen.tau - declared) > SURE * seen.sigma:
+        beside = f' beside {name}.lag {declared:g} s' if declared else ''
+        return Finding(WARNING, f'imu/{name}', f'the {name} comes through a low pass of {seen.tau:.2f} +- '
+                       f'{seen.sigma:.2f} s{beside}, which is a part of its time offset: set {name}.lag to '
+                       f'{seen.tau:.2f}', shown, (f'{name}.lag',))
+    if seen.certain:
+        return Finding(INFO, f'imu/{name}', f'the {name} comes through a low pass of {seen.tau:.2f} +- '
+                       f'{seen.sigma:.2f} s, as {name}.lag says', shown)
+    return Finding(INFO, f'imu/{name}', f'whether a low pass makes a part of the time offset of the {name} does not '
+                   f'show: {seen.tau:.2f} +- {seen.sigma:.2f} s, and up to {MOST_SPRINGS:g} s are those of springs',
+                   shown)
 
 
 def _late(left: Remaining, name: str, declared: float) -> str:

@@ -23,6 +23,7 @@ from mems_ins_fusion.configuration.setting import (
     is_sure,
     rounded,
 )
+from mems_ins_fusion.configuration.speed_offset import LowPass
 from mems_ins_fusion.configuration.topics import Topics
 from mems_ins_fusion.filter.measurements.registry import AIDING, TYPES
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
@@ -168,6 +169,22 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
         turned = float(np.median([one.turned for one in seen]))
         yield Setting(f'{name}.offset', round(turned, 4), (f'it is {math.degrees(turned):.1f} deg clockwise from the '
                                                            'course of the fixes',))
+    axes = [one.axes for one in seen if one.axes is not None]
+    if axes:
+        yaw, sigma = (float(x) for x in weighted(*(np.array([getattr(one, part) for one in axes])
+                                                   for part in ('yaw', 'sigma'))))
+        sure = is_sure(yaw, sigma, OF_SEVERAL)
+        yield Setting(f'{name}.yaw', round(yaw, 4) if sure else 0.0, (
+            f'straight on it moves sideways: its axes are turned to the left by {math.degrees(yaw):.1f} +- '
+            f'{math.degrees(sigma):.1f} deg{"" if sure else at_zero(OF_SEVERAL)}',))
+    flows = [one.dynamic for one in seen if one.dynamic is not None]
+    if flows:
+        share, sigma = (float(x) for x in weighted(*(np.array([getattr(one, part) for one in flows])
+                                                     for part in ('share', 'sigma'))))
+        sure = is_sure(share, sigma, OF_SEVERAL)
+        yield Setting(f'{name}.dynamic', round(share, 2) if sure else 0.0, (
+            f'its heights beside those of the fixes have {share:.2f} +- {sigma:.2f} of the dynamic pressure'
+            f'{"" if sure else at_zero(OF_SEVERAL)}',))
     noise = [one.sigma for one in seen if one.sigma is not None]
     if noise:
         yield Setting(f'{name}.sigma', float(f'{max(noise):.2g}'), (
@@ -182,12 +199,24 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
         what = 'gnss_topic' if of_receiver else 'the IMU'
         yield Setting(f'{name}.time_offset', round(begin + (lag if sure else 0.0), 3) + 0.0, (
             f'against {what} {lag:.3f} +- {sigma:.3f} s{"" if sure else at_zero(OF_SEVERAL)}',))
+        yield from _low_pass_settings(name, seen)
     elif kind in WHEELED:
         yield Setting(f'{name}.time_offset', 0.0, ('not shown: too few changes of speed, or a road too rough',))
     elif kind == 'magnetometer':
         yield Setting(f'{name}.time_offset', 0.0, (
             'not looked for: 0.1 s at 0.5 rad/s are 3 deg, less than what iron turns the field by',
             'its axes are taken to be those of the IMU; hard and soft iron are estimated while driving'))
+
+
+def _low_pass_settings(name: str, seen: Sequence[InputShown]):
+    """The part of the time offset that a low pass makes, where it is certain."""
+    found = [one.low_pass for one in seen if one.low_pass is not None]
+    if found:
+        tau, sigma = (float(x) for x in weighted(*(np.array([getattr(one, part) for one in found])
+                                                   for part in ('tau', 'sigma'))))
+        if LowPass(tau, sigma).certain:
+            yield Setting(f'{name}.lag', round(tau, 2), (
+                f'a low pass of {tau:.2f} +- {sigma:.2f} s makes a part of the time offset',))
 
 
 def _imu_settings(name: str, seen: Sequence[InputShown], first: Mapping):

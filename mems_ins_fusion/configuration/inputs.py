@@ -12,15 +12,18 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from mems_ins_fusion.configuration.baseline import estimate_baseline
+from mems_ins_fusion.configuration.dynamic_pressure import DynamicPressure, estimate_dynamic_pressure
 from mems_ins_fusion.configuration.mounting import Mounting
+from mems_ins_fusion.configuration.odometry_axes import OdometryAxes, estimate_odometry_axes
 from mems_ins_fusion.configuration.offset import FLOOR
 from mems_ins_fusion.configuration.receiver import TOO_SURE
 from mems_ins_fusion.configuration.second_imu import compare_imus
-from mems_ins_fusion.configuration.speed_offset import SHOWN, estimate_speed_offset
+from mems_ins_fusion.configuration.speed_offset import SHOWN, LowPass, estimate_speed_offset
 from mems_ins_fusion.configuration.turn_offset import TurnOffset, estimate_turn_offset, turning_of
 from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offset
 from mems_ins_fusion.filter.measurements.base import Measurement
@@ -39,7 +42,7 @@ from mems_ins_fusion.recordings.aiding import (
 from mems_ins_fusion.recordings.findings import INFO, SURE
 from mems_ins_fusion.recordings.motion import scatter_at_rest, sigmas
 from mems_ins_fusion.recordings.units import find_units, in_si
-from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Twists
+from mems_ins_fusion.samples import Displacements, Fixes, ImuSamples, Pressures, Speeds, Twists
 
 #: kinds of measurements that contain the forward speed
 WHEELED = 'speed', 'twist', 'pose'
@@ -68,9 +71,10 @@ class InputShown:
 
     measurement: its kind. why: how that is known, in words. factor: converts it to SI units. turned: rad, constant
     error of a heading, clockwise. lag: time offset, s, and its sigma, None if unknown; of a further receiver against
-    the first one. arm: (3,) m, forward-left-up, and its sigma (3,), infinite if unknown; from the IMU, of a further
-    receiver from the first antenna. sigma: m, of the white noise of a receiver that states less; else None. rotation:
-    of a further IMU, (3, 3) from its axes to those of the first one, and its sigma, rad; units: those of its
+    the first one; low_pass: of which a low pass makes a part, None if unknown. axes: of an odometry, dynamic: of a
+    pressure, None if unknown. arm: (3,) m, forward-left-up, and its sigma (3,), infinite if unknown; from the IMU, of a
+    further receiver from the first antenna. sigma: m, of the white noise of a receiver that states less; else None.
+    rotation: of a further IMU, (3, 3) from its axes to those of the first one, and its sigma, rad; units: those of its
     accelerometers and gyroscopes. unplaced: in words, why `arm` is not known well enough; empty if it is. Such an input
     is used only if the transforms contain its place. messages: their number and rate, in words.
     """
@@ -81,6 +85,9 @@ class InputShown:
     factor: float = 1.0
     turned: float = 0.0
     lag: tuple[float, float] | None = None
+    low_pass: LowPass | None = None
+    axes: OdometryAxes | None = None
+    dynamic: DynamicPressure | None = None
     arm: tuple[np.ndarray, np.ndarray] = (np.zeros(3), np.full(3, np.inf))
     sigma: float | None = None
     rotation: tuple[np.ndarray, float] | None = None
@@ -143,7 +150,8 @@ def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
     if 'pressure' in read:
         factor = pressure_factor(read['pressure'])
         return LeftOut(topic, 'no pressure of the air in any unit') if factor is None else InputShown(
-            topic, TYPES['pressure'], 'of the air by its size', factor)
+            topic, TYPES['pressure'], 'of the air by its size', factor,
+            dynamic=dynamic_of(read['pressure'], factor, fixes))
     if 'magnetometer' in read:
         return _magnetometer(topic, read['magnetometer'], fixes)
     if 'pose' in read and (not read['twist'].twist.any() if 'twist' in read else OTHER_SENSORS.search(topic)):
@@ -213,11 +221,12 @@ def _points_along(velocities, fixes) -> bool:
 
 def _timed(shown: InputShown, read, imu, fixes, rotation) -> InputShown:
     """`shown` with its time offset and, for wheels, their place."""
-    lag, left = clock_of(shown.measurement.name, _in_si(read[shown.measurement.name], shown.factor), imu, fixes,
-                         rotation)
-    if left is None:
-        return replace(shown, lag=lag)
-    return replace(shown, lag=lag, arm=(np.array([0.0, left[0], 0.0]), np.array([np.inf, left[1], np.inf])))
+    samples = _in_si(read[shown.measurement.name], shown.factor)
+    clock = clock_of(shown.measurement.name, samples, imu, fixes, rotation)
+    shown = replace(shown, lag=clock.lag, low_pass=clock.low_pass, axes=axes_of(samples))
+    if (left := clock.left) is None:
+        return shown
+    return replace(shown, arm=(np.array([0.0, left[0], 0.0]), np.array([np.inf, left[1], np.inf])))
 
 
 def _in_si(samples, factor: float):
@@ -227,29 +236,50 @@ def _in_si(samples, factor: float):
     return replace(samples, twist=samples.twist * [factor, factor, 1.0]) if isinstance(samples, Twists) else samples
 
 
-def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, rotation: np.ndarray | None):
-    """Time offset of an input, s, with its sigma, or None if unknown: of a GNSS velocity and of a further receiver
-    against `fixes`, of others against the IMU. And for wheels, their distance to the left of the IMU, m, with its
-    sigma, or None.
+def axes_of(samples) -> OdometryAxes | None:
+    """How an odometry or poses are turned against the vehicle; None for other samples, and where it does not show."""
+    return estimate_odometry_axes(samples) if isinstance(samples, (Twists, Displacements)) else None
+
+
+def dynamic_of(pressures: Pressures, factor: float, fixes: Fixes | None) -> DynamicPressure | None:
+    """Which share of the dynamic pressure `pressures` times `factor`, Pa, have; None without fixes that show it."""
+    if fixes is None:
+        return None
+    return estimate_dynamic_pressure(replace(pressures, pressure=factor * pressures.pressure), fixes)
+
+
+class Clock(NamedTuple):
+    """lag: time offset of an input, s, with its sigma, None if unknown: of a GNSS velocity and of a further receiver
+    against the fixes, of others against the IMU. left: of wheels, their distance to the left of the IMU, m, with its
+    sigma, None if unknown. low_pass: the part of the offset that a low pass makes, None if unknown."""
+
+    lag: tuple[float, float] | None
+    left: tuple[float, float] | None = None
+    low_pass: LowPass | None = None
+
+
+def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, rotation: np.ndarray | None) -> Clock:
+    """What is shown of the time of an input.
 
     kind: name of its measurement. samples: m/s, positive forwards. imu: SI units. fixes: usable ones of the first
     receiver. rotation: (3, 3) from sensor axes to base_link, None if unknown.
     """
-    shown, left = [], None
+    shown, left, low_pass = [], None, None
     if kind == 'velocity' and fixes is not None:
         shown = [estimate_velocity_offset(samples, fixes)]
     elif kind == 'heading' and rotation is not None:
         shown = [_turning(imu, turning_of(samples), rotation, _HEADING_TURNS)]
     elif kind == 'fix' and fixes is not None:
         baseline = estimate_baseline(fixes, usable_fixes(samples))
-        return (None if baseline is None else (baseline.late, math.hypot(baseline.late_sigma, FLOOR))), None
+        return Clock(None if baseline is None else (baseline.late, math.hypot(baseline.late_sigma, FLOOR)))
     elif kind in WHEELED and rotation is not None:
         offset = estimate_speed_offset(imu, forwards(samples), rotation)
-        left = offset.left if offset is not None else None
+        if offset is not None:
+            left, low_pass = offset.left, offset.low_pass
         # for an odometry also from its turn rate; the estimate with the smaller sigma is taken
         shown = [offset, _turning(imu, samples, rotation) if kind != 'speed' else None]
     lags = [(one.lag, one.lag_sigma) for one in shown if one is not None and one.lag_sigma < SHOWN]
-    return min(lags, key=lambda lag: lag[1], default=None), left
+    return Clock(min(lags, key=lambda lag: lag[1], default=None), left, low_pass)
 
 
 def _turning(imu, twists, rotation, least=_TURNING) -> TurnOffset | None:

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mems_ins_fusion.configuration.mounting import Mounting, deviation
+from mems_ins_fusion.configuration.odometry_axes import OdometryAxes
+from mems_ins_fusion.configuration.speed_offset import LowPass
 from mems_ins_fusion.filter.prediction import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 
@@ -34,6 +36,15 @@ class Remaining:
     def certain(self, least: float, sigmas: float) -> bool:
         """Whether more than `least` is left, and not by chance."""
         return abs(self.value) > max(least, sigmas * self.sigma)
+
+
+@dataclass(frozen=True)
+class ClockLeft(Remaining):
+    """What is left of the time offset of an input. low_pass: that it shows, as if none were declared, None where it
+    shows nothing of one. axes: what is left of how an odometry is turned, None where that does not show."""
+
+    low_pass: LowPass | None = None
+    axes: OdometryAxes | None = None
 
 
 def remaining_of(found: Mounting | None, values: Mapping) -> tuple[Remaining, ...]:

@@ -5,7 +5,8 @@ the change of the speed. In each piece of the drive the first speed, the directi
 anew; all pieces share the offset, the scale of the speed and the place of the axle whose wheels are counted, where the
 speed in bends is another than the IMU's. So the offset is estimated with all of these unknown, and its sigma is the
 larger of the least squares' own and the jackknife's over the pieces. A piece in which wheels slip fits worse than the
-others and counts less. Equations: docs/configure.md, "Wheel speed".
+others and counts less. A low pass that the speed comes through is a part of the offset; the rest of what it does shows
+where the acceleration changes. Equations: docs/configure.md, "Wheel speed".
 """
 from __future__ import annotations
 
@@ -20,6 +21,7 @@ from mems_ins_fusion.configuration.offset import FEWEST_PIECES, FLOOR, LARGEST, 
 from mems_ins_fusion.configuration.regression import jackknife
 from mems_ins_fusion.configuration.track import Track
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.recordings.findings import SURE
 from mems_ins_fusion.recordings.motion import find_standstill, integral
 from mems_ins_fusion.samples import ImuSamples, Speeds, in_time_order
 
@@ -57,15 +59,40 @@ _NOISE = 0.05**2
 _WALKS = (1e-2, 1e-1, 1.0, 10.0, 100.0)
 
 
+#: s; time constants of a low pass that are tried
+_LOW_PASSES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.55, 0.7, 0.9, 1.15, 1.5, 2.0)
+#: s; between those over which their likelihood is averaged
+_FINE = 0.01
+
+
+#: s; a body on springs, which pitches when it speeds up, looks like such a low pass: RMS over simulated cars, and the
+#: largest
+SPRINGS, MOST_SPRINGS = 0.2, 0.3
+
+
+@dataclass(frozen=True)
+class LowPass:
+    """The low pass that a speed shows. tau, sigma: its time constant, s."""
+
+    tau: float
+    sigma: float
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is more than the springs of the body."""
+        return self.tau - SURE * self.sigma > MOST_SPRINGS
+
+
 @dataclass(frozen=True)
 class SpeedOffset:
-    """lag, lag_sigma: s, as `speed.time_offset`. scale: measured over true speed, by the IMU. left: m, and its sigma,
-    from the IMU to the left to where it is measured."""
+    """lag, lag_sigma: s, as `speed.time_offset`, with the part that `low_pass` makes. scale: measured over true speed,
+    by the IMU. left: m, and its sigma, from the IMU to the left to where it is measured."""
 
     lag: float
     lag_sigma: float
     scale: float
     left: tuple[float, float]
+    low_pass: LowPass
 
 
 def estimate_speed_offset(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> SpeedOffset | None:
@@ -76,30 +103,73 @@ def estimate_speed_offset(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray)
     return attempted(_estimated, lambda: _pieces(imu, speeds, rotation))
 
 
-def _estimated(pieces: _Pieces) -> SpeedOffset:
+def _estimated(raw: _Pieces) -> SpeedOffset:
     lags = np.arange(-LARGEST, LARGEST + 0.01, _STEP)
     walk, lag = 1.0, 0.0
     for _ in range(2):
-        costs = np.array([pieces.solved(at, walk, free=False).cost for at in lags])
+        costs = np.array([raw.solved(at, walk, free=False).cost for at in lags])
         lag = float(lags[np.argmin(costs)])
-        walk = min(_WALKS, key=lambda one: pieces.unlikely(lag, one))
-        pieces = replace(pieces, noise=pieces.solved(lag, walk, free=False).noise)
+        walk = min(_WALKS, key=lambda one: raw.unlikely(lag, one))
+        raw = replace(raw, noise=raw.solved(lag, walk, free=False).noise)
+    pieces, lag = _settled(raw, lag, walk)
+    tau, (late, costs) = 0.0, _with_low_passes(raw, pieces, lag, walk)
+    if best := int(np.argmin(costs)):
+        tau = _LOW_PASSES[best]
+        pieces, lag = _settled(replace(raw.smoothed(tau), noise=pieces.noise), float(late[best]) - tau, walk)
+        late, costs = _with_low_passes(raw, pieces, lag + tau, walk)
+    found = pieces.solved(lag, walk)
+    by_model = np.sqrt(np.diag(np.linalg.inv(found.normal)) * found.noise)
+    sigma = np.maximum(by_model, jackknife(found.left_out()))
+    # each offset and low pass counts by its likelihood, tempered where the jackknife does not believe the least
+    # squares' own noise
+    temper = found.noise * (sigma[0] / max(by_model[0], 1e-9)) ** 2
+    mean, between = _averaged(late, costs / temper)
+    tau, tau_sigma = _averaged(np.array(_LOW_PASSES), costs / temper)
+    low_pass = LowPass(tau, math.hypot(tau_sigma, 0.5 * SPRINGS**2 / max(tau, SPRINGS)))
+    costs = np.array([pieces.solved(at, walk, free=False).cost for at in lags])
+    likely = np.exp(-0.5 * (costs - costs.min()) / temper)
+    spread = math.sqrt(float(likely @ (lags - lag) ** 2 / likely.sum()))
+    # as much as one step of the search shows of a single minimum is no rival
+    apart = spread if spread > _STEP + float(sigma[0]) else 0.0
+    return SpeedOffset(mean, math.hypot(float(sigma[0]), between, apart, FLOOR), float(found.solution[1]),
+                       (-float(found.solution[2]), float(sigma[2])), low_pass)
+
+
+def _settled(pieces: _Pieces, lag: float, walk: float) -> tuple[_Pieces, float]:
+    """`pieces` with weights, and their offset, by Gauss-Newton from `lag` on."""
     for step in range(2 * _STEPS):
         found = pieces.solved(lag, walk)
         lag += float(np.clip(found.solution[0], -_STEP, _STEP))
         pieces = pieces.weighted(found) if step >= _STEPS else replace(pieces, noise=found.noise)
-    found = pieces.solved(lag, walk)
-    lag += float(found.solution[0])
-    by_model = np.sqrt(np.diag(np.linalg.inv(found.normal)) * found.noise)
-    sigma = np.maximum(by_model, jackknife(found.left_out()))
-    costs = np.array([pieces.solved(at, walk, free=False).cost for at in lags])
-    # every offset counts by its likelihood, tempered where the jackknife does not believe the least squares' own noise
-    likely = np.exp(-0.5 * (costs - costs.min()) / (found.noise * (sigma[0] / max(by_model[0], 1e-9)) ** 2))
-    spread = math.sqrt(float(likely @ (lags - lag) ** 2 / likely.sum()))
-    # as much as one step of the search shows of a single minimum is no rival
-    apart = spread if spread > _STEP + float(sigma[0]) else 0.0
-    return SpeedOffset(lag, math.hypot(float(sigma[0]), apart, FLOOR), float(found.solution[1]),
-                       (-float(found.solution[2]), float(sigma[2])))
+    return pieces, lag + float(pieces.solved(lag, walk).solution[0])
+
+
+def _with_low_passes(raw: _Pieces, pieces: _Pieces, late: float, walk: float) -> tuple[np.ndarray, np.ndarray]:
+    """By how much the speed is late in all, s, and the weighted squares, with each of _LOW_PASSES. late: about that;
+    pieces: with the weights."""
+    found = []
+    for tau in _LOW_PASSES:
+        smoothed = replace(raw.smoothed(tau), weight=pieces.weight, noise=pieces.noise)
+        for _ in range(2):
+            late += float(np.clip(smoothed.solved(late - tau, walk).solution[0], -_STEP, _STEP))
+        found.append((late, smoothed.solved(late - tau, walk, free=False).cost))
+    return np.array(found)[:, 0], np.array(found)[:, 1]
+
+
+def _averaged(values: np.ndarray, costs: np.ndarray) -> tuple[float, float]:
+    """Mean and standard deviation over the low passes, of which each time constant is as probable before anything is
+    known. costs: minus twice the logarithms of their likelihoods."""
+    tried, fine = np.array(_LOW_PASSES), np.arange(0.0, _LOW_PASSES[-1], _FINE)
+    left = np.searchsorted(tried, fine, side='right') - 1
+    width, slopes = np.diff(tried)[left], np.gradient(costs, tried)
+    part = (fine - tried[left]) / width
+    costs = ((1.0 + 2.0 * part) * (1.0 - part)**2 * costs[left] + part**2 * (3.0 - 2.0 * part) * costs[left + 1]
+             + width * part * (1.0 - part) * ((1.0 - part) * slopes[left] - part * slopes[left + 1]))  # cubic splines
+    values = np.interp(fine, tried, values)
+    likely = np.exp(-0.5 * (costs - costs.min()))
+    likely /= likely.sum()
+    mean = float(likely @ values)
+    return mean, math.sqrt(float(likely @ (values - mean) ** 2))
 
 
 @dataclass(frozen=True)
@@ -126,12 +196,14 @@ class _Pieces:
     """The pieces of a drive. track: of the samples. pushed: (n, 3) m/s, integral of the specific force along nose,
     left and up, whose directions in the sensor's axes are `axes` (3, 3). turn: (n,) rad/s about the up axis. squared:
     (n,) its square's integral. times: s after the track's origin, and speeds: m/s, of each piece. weight: (w,) of each.
-    noise: variance of a speed, m^2/s^2. whitening: by walk, what `_whitening` has made."""
+    turned: integral of the rotation. noise: variance of a speed, m^2/s^2. whitening: by walk, what `_whitening` has
+    made."""
 
     track: Track
     pushed: np.ndarray
     turn: np.ndarray
     squared: np.ndarray
+    turned: np.ndarray
     axes: np.ndarray
     times: tuple[np.ndarray, ...]
     speeds: tuple[np.ndarray, ...]
@@ -159,6 +231,11 @@ class _Pieces:
         """Minus twice the logarithm of the likelihood of `walk` at that offset."""
         more = sum(more for _, more in self._reduced(lag, walk))
         return float(self.freedom.sum()) * math.log(self.solved(lag, walk, free=False).noise) + more
+
+    def smoothed(self, tau: float) -> _Pieces:
+        """What the IMU shows, through a low pass of the time constant `tau`, s."""
+        return replace(self, **{name: self.track.through_low_pass(getattr(self, name), tau)
+                                for name in ('pushed', 'turn', 'squared', 'turned')})
 
     def weighted(self, found: _Solved) -> _Pieces:
         """With less weight on the pieces that fit worse than most."""
@@ -196,7 +273,7 @@ class _Pieces:
         """Change of the speed along nose or left (axis 0, 1) since the first of `time`, m/s, and its derivatives by
         what is the piece's own."""
         track, since = self.track, time - time[0]
-        pushed, direction = track.at(self.pushed[:, axis], time), track.at(track.turned, time) @ self.axes[axis]
+        pushed, direction = track.at(self.pushed[:, axis], time), track.at(self.turned, time) @ self.axes[axis]
         up = (track.at(track.rotation, time) @ self.axes[2]).mean(axis=0)
         direction = direction - direction[0]
         value = pushed - pushed[0] - STANDARD_GRAVITY * direction @ (up / np.linalg.norm(up))
@@ -224,6 +301,6 @@ def _pieces(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> _Pieces | 
         return None
     if len(chosen) > _MOST_PIECES:
         chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, _MOST_PIECES).astype(int)]
-    return _Pieces(track, at[:, :3], at[:, 3], integral(track.time, at[:, 3] ** 2), rotation,
+    return _Pieces(track, at[:, :3], at[:, 3], integral(track.time, at[:, 3] ** 2), track.turned, rotation,
                    tuple(time[piece] for piece in chosen), tuple(speed[piece] for piece in chosen),
                    np.ones(len(chosen)))

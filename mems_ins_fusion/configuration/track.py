@@ -49,6 +49,15 @@ class Track:
         decay = math.exp(-float(np.median(np.diff(self.time))) / tau) if tau > 0.0 else 0.0
         return _low_pass(_low_pass(self.force, decay), decay)
 
+    def through_low_pass(self, values: np.ndarray, tau: float) -> np.ndarray:
+        """`values` (n, ...), linear between the times, through one with the time constant `tau`, s; 0: as they are."""
+        if tau == 0.0:
+            return values
+        ratio = float(np.median(np.diff(self.time))) / tau
+        decay, change = math.exp(-ratio), np.diff(values, axis=0, prepend=values[:1])
+        # what is behind: u[n] = decay u[n - 1] + change[n] (1 - decay) / ratio
+        return values - _low_pass(change, decay) / ratio
+
     def _integrals(self, increments):
         """Sum of `increments` (n - 1, ...) up to each time, (n, ...), and its integral over time."""
         first = np.concatenate([np.zeros_like(increments[:1]), np.cumsum(increments, axis=0)])

@@ -60,6 +60,7 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     library = tuple(effects if effects is not None else (*effects_of(values), *([late] if late else [])))
     sizes = {'gnss_time_offset': [{'time_offset': other[TIME_OFFSET] - values[TIME_OFFSET]} for other in others],
              **{f'{name}_time_offset': [{'time_offset': left.value}] for name, left in shown.clocks.items()},
+             **{f'{name}_lag': [{'tau': one.tau}] for name, one in shown.low_passes.items()},
              **({late.name: [{'share': 1.0}]} if late else {})}
     trials = TrialRuns(tuple(thinned), Drives(found), library, tuple(durations), spacing, tell,
                        values['gnss.time_offset_sigma'], sizes, shown, working=lambda: progress(*told))

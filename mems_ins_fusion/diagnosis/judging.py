@@ -60,7 +60,7 @@ def with_candidate(known: Known, candidate: Candidate, view: np.ndarray, trials:
         return fit(problem, [*noise, *kept], x, COMPARED)
     begin = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
              for t, u in zip(candidate.theta, candidate.unknowns)]
-    begins = [begin, *([sizes[u.parameter] for u in candidate.unknowns]
+    begins = [begin, *([sizes[u.parameter] ** (2 if u.variance else 1) for u in candidate.unknowns]
                        for sizes in trials.starts.get(candidate.name, ()))]
     fits = [fit(known.problem, [*model.unknowns, *candidate.unknowns], np.concatenate([view, start]), COMPARED)
             for start in begins]

@@ -13,6 +13,7 @@ from ..configuration.mounting import estimate_mounting
 from ..configuration.offset import Offset, together
 from ..configuration.regression import weighted
 from ..configuration.remaining import Remaining
+from ..configuration.speed_offset import LowPass
 from ..recordings.findings import SURE
 from ..samples import Recording
 
@@ -23,10 +24,12 @@ TIME_OFFSET = 'gnss.time_offset'
 @dataclass(frozen=True)
 class Shown:
     """What all recordings show without a filter. track: time offset, lever arm and smoothing of the receiver; None if
-    the fixes do not show them. clocks: by the name of an input, its time offset minus the given one."""
+    the fixes do not show them. clocks: by the name of an input, its time offset minus the given one. low_passes: the
+    same, s, for certain, that it comes through and that the given parameters do not have."""
 
     track: Offset | None = None
     clocks: Mapping[str, Remaining] = field(default_factory=dict)
+    low_passes: Mapping[str, LowPass] = field(default_factory=dict)
 
     @property
     def late(self) -> dict[str, float]:
@@ -38,13 +41,18 @@ def shown_without_filter(recordings: Sequence[Recording], values: dict) -> Shown
     """What the recordings show, relative to the checked parameters `values`."""
     found = [estimate_mounting(recording.imu, recording.gnss) for recording in recordings]
     each = [clocks_left(recording, recording.imu, mounting, values) for recording, mounting in zip(recordings, found)]
-    clocks = {}
+    clocks, low_passes = {}, {}
     for name in dict.fromkeys(name for one in each for name in one):
         parts = [one[name] for one in each if name in one and math.isfinite(one[name].sigma)]
         if parts:
             value, sigma = weighted(np.array([p.value for p in parts]), np.array([p.sigma for p in parts]))
             clocks[name] = Remaining(parts[0].name, float(value), float(sigma))
-    return Shown(together([m.offset for m in found if m is not None and m.offset is not None]), clocks)
+        passes = [p.low_pass for p in parts if p.low_pass is not None]
+        if passes:
+            one = LowPass(*map(float, weighted(np.array([p.tau for p in passes]), np.array([p.sigma for p in passes]))))
+            if one.certain and one.tau - values[f'{name}.lag'] > SURE * one.sigma:
+                low_passes[name] = one
+    return Shown(together([m.offset for m in found if m is not None and m.offset is not None]), clocks, low_passes)
 
 
 def other_starts(offset: Offset | None, values: dict) -> list[dict]:

@@ -80,6 +80,7 @@ class TrialRuns:
         if track is not None and track.shown:
             lag = track.smoothing - self.origin.given['gnss.lag_per_acceleration']
             found['gnss_lag.lag'] = Estimate(lag, track.smoothing_sigma, 's^2')
+        found |= {f'{name}_lag.tau': Estimate(one.tau, one.sigma, 's') for name, one in self.beside.low_passes.items()}
         left = {f'{name}.time_offset': one for name, one in self._left.items()}
         return found | {name: Estimate(one.value, one.sigma, 's') for name, one in left.items()}
 
@@ -95,10 +96,11 @@ class TrialRuns:
 
     @property
     def certain(self) -> tuple[str, ...]:
-        """Names of the effects of time offsets that the recordings show for certain without a filter, beyond the given
-        parameters; first the effect that sets those of several inputs together."""
+        """Names of the effects of time offsets and low passes that the recordings show for certain without a filter,
+        beyond the given parameters; first the effect that sets those of several inputs together."""
         together = [effect.name for effect in self.library if isinstance(effect, SeveralTimeOffsets)]
-        return (*together, *(name for name, left in self._left.items() if left.certain(SMALL_OFFSET, SURE)))
+        return (*together, *(name for name, left in self._left.items() if left.certain(SMALL_OFFSET, SURE)),
+                *(f'{name}_lag' for name in self.beside.low_passes))
 
     def told(self, name: str, sizes: dict[str, Estimate]) -> dict[str, Estimate]:
         """The `sizes` to report of an effect that is not added: what the recordings show for certain is reported as

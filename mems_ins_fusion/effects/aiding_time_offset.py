@@ -10,18 +10,12 @@ AND = '_and_'
 
 
 class AidingTimeOffset(Effect):
-    """A measurement of the input `of` stamped t describes the vehicle when the IMU's clock read t - time_offset,
-    through a low pass of the time constant `lag`.
-
-    1 / (1 + lag s) is exp(-lag s) to first order: an input that smooths is late, and is corrected as late. The rest,
-    lag^2 / 2 times the second derivative, is too small to be seen (lag 0.3 s of a speed: 5 cm/s for a jerk of 1 m/s^3).
-    """
+    """A measurement of the input `of` stamped t describes the vehicle when the IMU's clock read t - time_offset."""
 
     sizes = {'time_offset': ('stamped {} too late', 'stamped {} too early')}
     largest = {'time_offset': 2.0}
     larger_is = 'stamps of another clock'
-    parameters = (EffectParameter('time_offset', 's', 0.1), EffectParameter('lag', 's', 0.1))
-    traced = parameters[:1]
+    parameters = (EffectParameter('time_offset', 's', 0.1),)
 
     def __init__(self, of: str, signature: str, in_words: str, to_check: str):
         self.of, self.name = of, f'{of}_time_offset'
@@ -30,19 +24,17 @@ class AidingTimeOffset(Effect):
     def measured_times(self, name, time, values):
         return time - values['time_offset'] if name == self.of else time
 
-    def measured_lag(self, name, values):
-        return values['lag'] if name == self.of else 0.0
-
-    def as_traced(self, values):
-        return {'time_offset': values['time_offset'] + values['lag']}
-
     def hidden(self, values, recording):
-        there = self.of in recording.streams() and (
-            values.get(f'{self.of}_topic') or values.get(f'{self.of}.topic'))
-        return '' if there else f'no {self.of} in the recording ({self.of}_topic)'
+        return missing(self.of, values, recording)
 
     def adjusted(self, values, theta):
         return added(values, f'{self.of}.time_offset', change=theta['time_offset'])
+
+
+def missing(name: str, values: Mapping, recording) -> str:
+    """Why `recording` has nothing of the input `name`; empty where it has."""
+    there = name in recording.streams() and (values.get(f'{name}_topic') or values.get(f'{name}.topic'))
+    return '' if there else f'no {name} in the recording ({name}_topic)'
 
 
 class SeveralTimeOffsets(Effect):

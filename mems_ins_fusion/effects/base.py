@@ -120,6 +120,14 @@ class Effect:
         """Time constant, s, of a low pass on the measurements of the input `name`."""
         return 0.0
 
+    def dynamic_pressure(self, name, values):
+        """Share of the dynamic pressure that the input `name` measures in addition."""
+        return 0.0
+
+    def turned(self, name, values):
+        """Angle, rad, by which the axes of the odometry `name` are turned to the left."""
+        return 0.0
+
     def distort_fixes(self, drive, time, position, values, rng):
         """Positions with the effect, before white noise is added. position: (m, 3) m in `n`. time: (m,) s."""
         return position

@@ -134,8 +134,7 @@ def compare(memory):
 def _publish_both(memory, other, r, share):
     """Write to the state at r how far the published covariance reaches to the other filter, whose probability is
     `share` (`Hypothesis.SPREAD`)."""
-    n_navigation, spread = int(memory[Head.N_NAVIGATION]), r + Hypothesis.SPREAD
-    p = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
+    spread = r + Hypothesis.SPREAD
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
     north, east = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
     distance = math.hypot(north, east)
@@ -143,7 +142,7 @@ def _publish_both(memory, other, r, share):
         memory[spread + i] = 0.0
     if share == 0.0 or distance == 0.0:
         return
-    sigma = math.sqrt(0.5 * (other[p] + other[p + packed(1, 1, n_navigation)]))
+    sigma = math.sqrt(0.5 * (other[element_at(other, r, 0, 0)] + other[element_at(other, r, 1, 1)]))
     times = hypotheses.reach(share, distance, sigma) / distance
     memory[spread], memory[spread + 1] = times * north, times * east
     times = min(times, 1.0)  # where both are at the same place, as far as is known, the other's velocity is enough

@@ -214,8 +214,11 @@ class FilterConfig:
         return self.gnss if number == Kind.POSITION else self.sensors[number]
 
     def time_offset_of(self, number: int) -> float:
-        """s, by which the stamps of the input with this number are late against the IMU's clock."""
+        """s, by which the stamps of the input with this number are late against the IMU's clock, without the part that
+        a low pass makes (`measurements/low_pass.py`)."""
         measurement, own = self.inputs[number], self.settings_of(number).time_offset
+        if number != Kind.POSITION:
+            own -= self.sensors[number].lag
         of_receiver = measurement.of_antenna and measurement.is_plain and measurement.kind != Kind.POSITION
         return own + (self.gnss.time_offset if of_receiver else 0.0)
 
@@ -224,7 +227,8 @@ class FilterConfig:
         """Configured factors, offsets and time offsets of the inputs in use. The filter's states are corrections to
         these."""
         return [value for settings in self.sensors.values() if settings.topic
-                for value in (settings.factor, settings.offset, settings.time_offset)]
+                for value in (settings.factor, settings.offset, settings.time_offset, settings.lag,
+                              settings.yaw)]
 
     @property
     def latest(self) -> float:
@@ -264,6 +268,7 @@ class FilterConfig:
         columns[Event.AT_AXLE] = measurement.is_plain and not measurement.of_antenna
         columns[Event.ARM:Event.ARM + 3] = measurement.arm if not measurement.is_plain else (
             self.gnss.lever_arm if measurement.of_antenna else self._axle)
+        columns[Event.LAG] = 0.0 if number == Kind.POSITION else self.sensors[number].lag
         return columns[Event.INPUT:Event.INPUT_END]
 
     @property

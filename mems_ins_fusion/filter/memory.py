@@ -174,7 +174,7 @@ def nonnegative(position):
     return position & 0x7FFFFFFFFFFFFFFF
 
 
-INPUT_SIZE = 42  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
+INPUT_SIZE = 47  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
 
 
 def row_width(layout: StateLayout) -> int:
@@ -453,6 +453,7 @@ class _Event(NamedTuple):
     TIME_OFFSET: int = column()  # index of the state of its time offset among all n; 0 (a position state): none
     AT_AXLE: int = column()  # 1: of the axle that does not steer, whose place is estimated
     ARM: int = column(3)  # lever arm from the IMU to where it is measured, body axes, m
+    LAG: int = column()  # time constant of the low pass that it comes through, s; 0: none
     INPUT_END: int = column(0)
     STATUS: int = column()  # if a fix: `NavSatStatus.status`, 0 plain, 1 with satellite corrections, 2 with a base
     DECLINATION: int = column()  # if a magnetic field: declination as configured, rad

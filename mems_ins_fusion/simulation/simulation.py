@@ -31,7 +31,7 @@ __all__ = ['Aiding', 'GnssNoise', 'SensorErrors', 'Simulation', 'Vibration', 'si
 _FLIP = FLU_TO_FRD.diagonal()  # its own inverse
 _COVARIANCE_TYPE_DIAGONAL_KNOWN = 2  # sensor_msgs/NavSatFix
 _STATUS_FIX = 0  # sensor_msgs/NavSatStatus
-_LAGUERRE = 5  # nodes of the mean over the past that a low pass is
+_LAGUERRE = 12  # nodes of the mean over the past that a low pass is
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ class SensorSettings:
 
     sigma: standard deviation; 0: that of the message, or default_sigma where the message has none. offset: value of the
     parameter that `Measurement.offset` names. factor: SI units per unit of the messages. time_offset: s by which the
-    stamps are later than the IMU's clock; for measurements at the GNSS antenna, in addition to gnss.time_offset. turn:
+    stamps are later than the IMU's clock; for measurements at the GNSS antenna, in addition to gnss.time_offset. lag:
+    time constant of the low pass that it comes through, s. yaw: rad, by which an odometry is turned to the left. turn:
     settings of the turn rate, None where the input has none.
     """
 
@@ -40,6 +41,8 @@ class SensorSettings:
     offset: float = 0.0
     factor: float = 1.0
     time_offset: float = 0.0
+    lag: float = 0.0
+    yaw: float = 0.0
     turn: SensorSettings | None = None
 
 
@@ -50,15 +53,16 @@ class Measurement:
 
     kind: unique number. name: prefix of the parameters (`NAME_topic`, `NAME.sigma`), and name of the samples in a
     recording. samples: their class. unit: of the values. topic_text: description of `NAME_topic`. default_sigma:
-    default of `NAME.default_sigma`. offset: name of the parameter for a known constant error (`NAME.offset` or
+    default of `NAME.default_sigma`. offset: name of the parameter for a known constant error (such as `NAME.offset` or
     `NAME.scale`), '' without. components: number of components of the innovation that are tested together. messages:
     ROS types that carry it, each with the fields that `read` needs; recordings are written with the first type.
     layouts: for message types that no other part of the package reads: (field, NumPy type of an element, number of
     elements) of each field after the header. written_to: topic in recordings that this package writes. of_antenna:
     whether it is measured at the GNSS antenna, with the receiver's stamps. from_satellites: whether it is withheld in
     an outage. of_two: whether a sample is computed from two messages. needs_height: whether it can only be used with a
-    mechanization that has a height. has_arm: whether it depends on where in the vehicle it is measured.
-    simulated_with: rate (Hz; 0: not simulated) and errors in simulations, by the names of `simulation.Aiding`.
+    mechanization that has a height. has_arm: whether it depends on where in the vehicle it is measured. has_lag:
+    whether the filter knows a low pass that it comes through (`NAME.lag`). simulated_with: rate (Hz; 0: not simulated)
+    and errors in simulations, by the names of `simulation.Aiding`.
 
     Of an input: number, equal to `kind` for the unnamed one; state: name of its first optional state, '' without; arm:
     lever arm (3,) from the IMU, body axes, m, of a named one.
@@ -80,6 +84,7 @@ class Measurement:
     of_two = False
     needs_height = False
     has_arm = False
+    has_lag = False
     arm: np.ndarray = np.zeros(3)
     simulated_with: Mapping[str, float] = {}
 
@@ -117,6 +122,8 @@ class Measurement:
 
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters but the topic's."""
+        lag = Parameter(f'{self.name}.lag', 0.0, 's', f'Time constant of a low pass in the sensor, its driver or the '
+                        f'bus, which is a part of {self.name}.time_offset.', minimum=0.0, maximum=10.0)
         return (
             Parameter(f'{self.name}.sigma', 0.0, self.unit, f'Standard deviation of the {self.name}; 0: that of the '
                       'message.', minimum=0.0, maximum=1000.0),
@@ -127,7 +134,7 @@ class Measurement:
                                         '.'), minimum=-10.0, maximum=10.0),
             Parameter(f'{self.name}.time_offset_sigma', UNDECLARED_OFFSET, 's', f'Standard deviation of what is left '
                       f'beside {self.name}.time_offset, which is estimated; 0: nothing is left.', minimum=0.0,
-                      maximum=10.0))
+                      maximum=10.0), *((lag,) if self.has_lag else ()))
 
     def factor_parameter(self, unit: str, examples: str, largest: float = 1e4) -> Parameter:
         """`NAME.factor`. unit: to which it converts."""
@@ -138,7 +145,8 @@ class Measurement:
         """From checked parameters."""
         return SensorSettings(values[self.topic], values[f'{self.name}.sigma'], values[f'{self.name}.default_sigma'],
                               values[f'{self.name}.{self.offset}'] if self.offset else 0.0,
-                              values.get(f'{self.name}.factor', 1.0), values[f'{self.name}.time_offset'])
+                              values.get(f'{self.name}.factor', 1.0), values[f'{self.name}.time_offset'],
+                              values[f'{self.name}.lag'] if self.has_lag else 0.0)
 
     def states(self, values: Mapping) -> dict[str, tuple[float, float]]:
         """Optional states, each with its initial standard deviation (0: left out) and its random walk, unit/sqrt(s)

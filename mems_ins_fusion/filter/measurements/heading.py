@@ -14,6 +14,7 @@ from ...samples import Headings
 from ..memory import NAV, Error, Event, Head, Kind
 from .base import IMU, NOT_THERE, POSE, Measurement
 from .geometry import add, angular_rate
+from .low_pass import unfollowed
 from .records import empty, refuse, stated_or
 from .time_offset import add_time_offset
 
@@ -24,7 +25,8 @@ def observe(mem, r, at, h, c, sample):
     yaw, offset = int(mem[Head.MOUNTING_YAW]), int(mem[at + Event.STATE])
     # yaw of the vehicle's axes in b, and error of the measured heading; `update` subtracts H times these estimates
     estimated = (mem[r + NAV + yaw] if yaw >= 0 else 0.0) + (mem[r + NAV + offset] if offset >= 0 else 0.0)
-    difference = math.atan2(c[3], c[0]) + estimated - mem[at + Event.VALUE]
+    now = math.atan2(c[3], c[0])
+    difference = now + estimated - unfollowed(mem, r, at, now) - mem[at + Event.VALUE]
     mem[at + Event.Z_N] = math.atan2(math.sin(difference), math.cos(difference)) - estimated
     add_time_offset(mem, at, h, angular_rate(mem, r, sample)[2])
     level = c[0] * c[0] + c[3] * c[3]  # derivative of atan2(c_21, c_11), where phi x c changes the column
@@ -45,7 +47,7 @@ class Heading(Measurement):
     kind, name, samples, unit, default_sigma = Kind.HEADING, 'heading', Headings, 'rad', 0.05
     topic_text = ('Topic of the heading of base_link (two antennas or a compass): yaw of sensor_msgs/Imu.orientation '
                   'or geometry_msgs/PoseWithCovarianceStamped, counter-clockwise from east')
-    offset = 'offset'
+    offset, has_lag = 'offset', True
     messages = {IMU: ('orientation', 'orientation_covariance'), POSE: ('pose.pose.orientation', 'pose.covariance')}
     written_to = '/gps/heading'
     from_satellites = True  # of two antennas, perhaps

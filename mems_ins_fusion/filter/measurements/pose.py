@@ -58,9 +58,11 @@ class Pose(Twist):
         moved *= 1.0 + errors['twist_scale'] * rng.standard_normal()
         position = np.cumsum(moved + errors['twist_sigma'] * step * rng.standard_normal(moved.shape), axis=0)
         turned = Rotation.from_rotvec(errors['twist_turn_sigma'] * step * rng.standard_normal(moved.shape))
+        yaw = sum(effect.turned(self.name, values) for effect, values in effects)
+        axes = Rotation.from_rotvec([0.0, 0.0, -yaw])  # about the down axis
         to_enu, flu = Rotation.from_matrix(ned_from_enu(np.eye(3))), Rotation.from_matrix(FLU_TO_FRD)
         return self.read({'stamp': stamp, 'received': stamp.copy(), 'pose.pose.position': ned_from_enu(position),
-                          'pose.pose.orientation': (to_enu * there.attitude * turned * flu).as_quat()}, ODOMETRY)
+                          'pose.pose.orientation': (to_enu * there.attitude * turned * axes * flu).as_quat()}, ODOMETRY)
 
 
 def between(step: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:

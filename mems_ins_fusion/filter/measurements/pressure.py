@@ -1,5 +1,9 @@
 """Height from air pressure by the standard atmosphere. Weather and geoid are a slow bias: only changes of height count.
 
+Where the air flows past a moving vehicle the pressure changes by a share of the dynamic pressure, rho v^2 / 2: of a
+cabin with open windows a third less, of a duct in the front as much more. That is a height of v^2 / (2 g), 20 m at 20
+m/s, times the share, which is a state.
+
 Source: U.S. Standard Atmosphere, 1976 (NOAA-S/T 76-1562), eq. 33a: the layer up to 11 km, in geopotential height, which
 differs from height by 1 m in 2500 m.
 """
@@ -11,24 +15,48 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
+from ...navigation.earth import STANDARD_GRAVITY
 from ...parameters.parameter import Parameter
 from ...samples import Pressures
-from ..memory import Error, Event, Kind, Nav
+from ..memory import NAV, Error, Event, Head, Kind, Nav, velocity_variance
+from ..trust.scale import Scale, seen_of
 from .base import Measurement
 from .geometry import add
 from .records import empty, refuse, stated_or
 from .time_offset import add_time_offset
 
+#: s for which an error of the velocity lasts: all pressures of that time tell no more than one of what it makes of them
+LASTING = 10.0
+
+
+@njit(_nrt=False)
+def _add_second_order(mem, r, at, share, state):
+    """Set R of the record at `at` to the variance of the pressure and what H leaves out: the product of the errors of
+    share and velocity, and the square of that of the velocity. state: index of the share; P is in the scratch."""
+    n = int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
+    unknown = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * state]
+    speeds = velocity_variance(mem, r) / STANDARD_GRAVITY**2
+    squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
+    more = unknown * squared * speeds + 0.5 * (share * share + unknown) * (STANDARD_GRAVITY * speeds) ** 2
+    since = mem[at + Event.TIME] - mem[seen_of(mem, r, at) + Scale.TIME]
+    mem[at + Event.R_NN] = mem[at + Event.VALUE + 2] + max(1.0, LASTING / max(since, 1e-3)) * more
+
 
 @njit(_nrt=False)
 def observe(mem, r, at, h):
     """Height, positive up; one component."""
-    mem[at + Event.Z_N] = mem[r + Nav.HEIGHT] - mem[at + Event.VALUE]
+    north, east, share = mem[r + Nav.V_N], mem[r + Nav.V_E], mem[at + Event.VALUE + 1]
+    flow = 0.5 * (north * north + east * east) / STANDARD_GRAVITY
+    mem[at + Event.Z_N] = mem[r + Nav.HEIGHT] - share * flow - mem[at + Event.VALUE]
     add(mem, h, Error.R_D, -1.0)
     add_time_offset(mem, at, h, -mem[r + Nav.V_D])
     bias = int(mem[at + Event.STATE])
     if bias >= 0:
-        mem[h + bias] = -1.0
+        mem[h + bias], mem[h + bias + 1] = -1.0, flow
+        share += mem[r + NAV + bias + 1]
+        _add_second_order(mem, r, at, share, bias + 1)
+    add(mem, h, Error.V_N, -share * north / STANDARD_GRAVITY)
+    add(mem, h, Error.V_E, -share * east / STANDARD_GRAVITY)
     return 1
 
 
@@ -60,7 +88,7 @@ class Pressure(Measurement):
     topic_text = 'Topic of the pressure of the air, Pa: sensor_msgs/FluidPressure (strapdown)'
     messages = {'sensor_msgs/msg/FluidPressure': ('fluid_pressure', 'variance')}
     layouts = {'sensor_msgs/msg/FluidPressure': (('fluid_pressure', '<f8', 1), ('variance', '<f8', 1))}
-    written_to, needs_height = '/pressure', True
+    written_to, needs_height, offset = '/pressure', True, 'dynamic'
     #: Pa, white noise; m, standard deviation of the height's bias, drawn for each seed; m/sqrt(s), its random walk
     simulated_with = {'pressure_rate': 0.0, 'pressure_sigma': 5.0, 'pressure_bias': 80.0, 'pressure_walk': 0.05}
 
@@ -71,10 +99,16 @@ class Pressure(Measurement):
             Parameter(f'{self.name}.bias_sigma', 300.0, 'm', 'Initial standard deviation of the error of the height by '
                       'pressure: weather and geoid.', minimum=1.0, maximum=1e4),
             Parameter(f'{self.name}.bias_walk', 0.1, 'm/sqrt(s)', 'Random walk of that error: weather, temperature, '
-                      'ventilation of the vehicle.', minimum=0.0, maximum=100.0))
+                      'ventilation of the vehicle.', minimum=0.0, maximum=100.0),
+            Parameter(f'{self.name}.dynamic', 0.0, '-', 'Share of the dynamic pressure, half the density of air times '
+                      'the square of the speed, that is measured in addition: positive where the air is held up, '
+                      'negative where it is drawn out.', minimum=-2.0, maximum=2.0),
+            Parameter(f'{self.name}.dynamic_sigma', 0.3, '-', 'Standard deviation of what is left of that share, which '
+                      'is estimated.', minimum=1e-6, maximum=2.0))
 
     def states(self, values):
-        return {self.state: (values[f'{self.name}.bias_sigma'], values[f'{self.name}.bias_walk'])}
+        return {self.state: (values[f'{self.name}.bias_sigma'], values[f'{self.name}.bias_walk']),
+                f'{self.name}_dynamic': (values[f'{self.name}.dynamic_sigma'], 0.0)}
 
     @property
     def state(self):
@@ -92,8 +126,9 @@ class Pressure(Measurement):
         refuse(reasons, ~possible, lambda i: f'pressure {pressure[i]:g} Pa is outside {LOWEST:g} to {HIGHEST:g} Pa: '
                f'dropped (a wrong {self.name}.factor?)')
         there = np.where(possible, pressure, SEA_LEVEL)
-        r[:, Event.VALUE] = height_of(there)
+        r[:, Event.VALUE], r[:, Event.VALUE + 1] = height_of(there), settings.offset
         r[:, Event.R_NN] = stated_or(pressures.variance, settings, SMALLEST_SIGMA) * metres_per_pascal(there) ** 2
+        r[:, Event.VALUE + 2] = r[:, Event.R_NN]
         return r, reasons, {}
 
     def off(self, measured, innovation):
@@ -111,7 +146,10 @@ class Pressure(Measurement):
         steps = rng.standard_normal(len(time))
         bias = errors['pressure_bias'] * rng.standard_normal() + errors['pressure_walk'] * np.cumsum(
             steps * np.sqrt(np.diff(time, prepend=time[:1])))
-        pressure = pressure_at(np.interp(time, drive.time, drive.height) + bias)
+        speed = np.interp(time, drive.time, np.hypot(drive.velocity[:, 0], drive.velocity[:, 1]))
+        share = sum(effect.dynamic_pressure(self.name, values) for effect, values in effects)
+        less = share * speed**2 / (2.0 * STANDARD_GRAVITY)
+        pressure = pressure_at(np.interp(time, drive.time, drive.height) + bias - less)
         sigma = errors['pressure_sigma']
         return Pressures(stamp, stamp.copy(), pressure + sigma * rng.standard_normal(len(time)),
                          np.full(len(time), sigma**2))

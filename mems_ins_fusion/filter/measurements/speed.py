@@ -12,6 +12,7 @@ from ...samples import Speeds
 from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, covariance36
 from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, vehicle_to_level
+from .low_pass import unfollowed
 from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
 from .time_offset import acceleration, add_time_offset
 
@@ -21,9 +22,10 @@ def observe(mem, r, at, h, c, sample):
     """Speed, positive forward; one component. measured = (1 + scale) true."""
     _, y, z = arm_of(mem, at)
     _, w_y, w_z = angular_rate(mem, r, sample)
+    behind = unfollowed(mem, r, at, body_velocity(mem, r, c, 0))
     c = vehicle_to_level(mem, r, c)
     add_body_velocity(mem, r, h, c, 0, 1.0)
-    mem[at + Event.Z_N] = body_velocity(mem, r, c, 0) + w_y * z - w_z * y
+    mem[at + Event.Z_N] = body_velocity(mem, r, c, 0) + w_y * z - w_z * y - behind
     add_time_offset(mem, at, h, along(acceleration(mem, r), c, 0))
     across, gyroscope = int(mem[Head.AXLE_ACROSS]), channel_of(mem, 5)
     scale = int(mem[at + Event.STATE])
@@ -43,7 +45,7 @@ class Speed(Measurement):
     kind, name, samples, unit, default_sigma = Kind.SPEED, 'speed', Speeds, 'm/s', 0.1
     topic_text = ('Topic of the speed at the rear axle, m/s, forward positive: '
                   'geometry_msgs/TwistWithCovarianceStamped or nav_msgs/Odometry, twist.linear.x')
-    offset, has_arm = 'scale', True
+    offset, has_arm, has_lag = 'scale', True, True
     messages = {TWIST: ('twist.twist.linear', 'twist.covariance'), ODOMETRY: ('twist.twist.linear', 'twist.covariance')}
     written_to = '/wheel/speed'
     #: m/s, white noise of the rear wheels' speed; standard deviation of its scale factor error, drawn for each seed

@@ -17,6 +17,7 @@ from ...samples import Twists
 from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, SensorSettings, covariance36
 from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, vehicle_to_level
+from .low_pass import unfollowed, unfollowed_turn
 from .records import FASTEST, SMALLEST_SPEED_SIGMA, STEP, empty, refuse, stated_or, velocity_at
 from .time_offset import acceleration, add_time_offset
 
@@ -29,9 +30,10 @@ def observe(mem, r, at, h, n, c, sample):
     """
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     x, y, z = arm_of(mem, at)
+    behind, turns = unfollowed(mem, r, at, body_velocity(mem, r, c, 0)), w_z - unfollowed_turn(mem, r, at, w_z)
     c = vehicle_to_level(mem, r, c)
-    scale, gyroscope = int(mem[at + Event.STATE]), channel_of(mem, 5)
-    forward = body_velocity(mem, r, c, 0) + w_y * z - w_z * y
+    scale, gyroscope = int(mem[at + Event.STATE]), channel_of(mem, 5)  # then the scale of the turn rate, and the yaw
+    forward = body_velocity(mem, r, c, 0) + w_y * z - w_z * y - behind
     right = body_velocity(mem, r, c, 1) + w_z * x - w_x * z
     mem[at + Event.Z_N] = forward - mem[at + Event.VALUE]
     add_time_offset(mem, at, h, along(acceleration(mem, r), c, 0))
@@ -44,6 +46,7 @@ def observe(mem, r, at, h, n, c, sample):
         add_body_velocity(mem, r, h + n, c, 1, 1.0)
         if scale >= 0:
             mem[h + n + scale] = -right
+            mem[h + n + scale + 2] = -forward
         axle = int(mem[Head.AXLE])
         if axle >= 0 and mem[at + Event.AT_AXLE] != 0.0:
             mem[h + n + axle] = -w_z
@@ -52,10 +55,10 @@ def observe(mem, r, at, h, n, c, sample):
         # measured = (1 + scale) (gyroscope reading - its error), linearised at the estimates of both, as both may be
         # large; `update` subtracts H times the estimates
         error = mem[r + NAV + gyroscope]
-        mem[at + Event.Z_D] = w_z + error + turn_scale * error - mem[at + Event.VALUE + 2]
+        mem[at + Event.Z_D] = turns + error + turn_scale * error - mem[at + Event.VALUE + 2]
         mem[h + 2 * n + gyroscope] = 1.0 + turn_scale
         if scale >= 0:
-            mem[h + 2 * n + scale + 1] = -w_z
+            mem[h + 2 * n + scale + 1] = -turns
     return 3
 
 
@@ -65,11 +68,24 @@ def measures_sideways(mem, at):
     return not math.isnan(mem[at + Event.VALUE + 1])
 
 
+def turned(twists, yaw: float):
+    """`twists` in axes that are turned to the left by `yaw`, rad. What has no velocity sideways stays as it is."""
+    if yaw == 0.0:
+        return twists
+    forward, right = twists.twist[:, 0], twists.twist[:, 1]
+    along = np.column_stack([math.cos(yaw) * forward - math.sin(yaw) * right,
+                             math.sin(yaw) * forward + math.cos(yaw) * right])
+    twist = twists.twist.copy()
+    sideways = np.isfinite(right) & (right != 0.0)
+    twist[sideways, :2] = along[sideways]
+    return replace(twists, twist=twist)
+
+
 class Twist(Measurement):
     kind, name, samples, unit, default_sigma = Kind.TWIST, 'twist', Twists, 'm/s', 0.1
     topic_text = ('Topic of the odometry of wheels, a lidar or a camera, base_link: twist of nav_msgs/Odometry or '
                   'geometry_msgs/TwistWithCovarianceStamped; the source must not use the fixes')
-    components, has_arm = 2, True
+    components, has_arm, has_lag = 2, True, True
     messages = {ODOMETRY: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance'),
                 TWIST: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance')}
     written_to = '/wheel/odometry'
@@ -91,11 +107,17 @@ class Twist(Measurement):
             Parameter(f'{self.name}.turn_scale_sigma', 1.0, '-', 'Standard deviation of the scale factor error of the '
                       'turn rate, which is estimated: the track of the wheels may be unknown, skid-steered wheels slip '
                       'sideways, and some sources count turns to the right.',
-                      minimum=1e-6, maximum=10.0))
+                      minimum=1e-6, maximum=10.0),
+            Parameter(f'{self.name}.yaw', 0.0, 'rad', 'Angle by which its axes are turned against those of base_link, '
+                      'counter-clockwise seen from above.', minimum=-2 * math.pi, maximum=2 * math.pi),
+            Parameter(f'{self.name}.yaw_sigma', 0.05, 'rad', 'Standard deviation of what is left of that angle, which '
+                      'is estimated where the velocity sideways is measured: lidars and cameras are mounted to some '
+                      'degrees.', minimum=1e-6, maximum=math.pi))
 
     def states(self, values):
         return {self.state: (values[f'{self.name}.scale_sigma'], 0.0),
-                f'{self.name}_turn_scale': (values[f'{self.name}.turn_scale_sigma'], 0.0)}
+                f'{self.name}_turn_scale': (values[f'{self.name}.turn_scale_sigma'], 0.0),
+                f'{self.name}_yaw': (values[f'{self.name}.yaw_sigma'], 0.0)}
 
     @property
     def state(self):
@@ -104,11 +126,11 @@ class Twist(Measurement):
     def settings(self, values):
         turn = SensorSettings(values[self.topic], values[f'{self.name}.turn_sigma'],
                               values[f'{self.name}.default_turn_sigma'])
-        return replace(super().settings(values), turn=turn)
+        return replace(super().settings(values), turn=turn, yaw=values[f'{self.name}.yaw'])
 
     def declared(self, settings, twists):
         factor = np.array([settings.factor, settings.factor, 1.0])
-        return replace(twists, twist=factor * twists.twist, variance=factor**2 * twists.variance)
+        return turned(replace(twists, twist=factor * twists.twist, variance=factor**2 * twists.variance), -settings.yaw)
 
     def records(self, settings, twists):
         twists = self.declared(settings, twists)
@@ -158,4 +180,5 @@ class Twist(Measurement):
         twist += sigma * rng.standard_normal(twist.shape)
         if not sideways:
             twist[:, 1] = 0.0
-        return Twists(stamp, stamp.copy(), twist, np.tile(sigma**2, (len(time), 1)))
+        return turned(Twists(stamp, stamp.copy(), twist, np.tile(sigma**2, (len(time), 1))),
+                      sum(effect.turned(self.name, values) for effect, values in effects))

@@ -27,7 +27,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..measurements import acceleration
 from ..measurements.base import UNDECLARED_OFFSET
-from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_state, velocity_variance
+from ..memory import NAV, ROW, Event, Head, Nav, Verdict, element_at, velocity_state, velocity_variance
 
 #: of a state
 Hypothesis = ROW.place(
@@ -258,9 +258,9 @@ def begin_refusing(mem, r, interval):
     mem[r + Hypothesis.START_DUE] = 0.0
     for i in range(2):
         mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
-    p = r + NAV + int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
     mem[r + Hypothesis.IMU_NATS] = IMU_FAULT_PRIOR - math.log(FAULT_RATE)
-    _set_offset(mem, r + Hypothesis.IMU_OFFSET, 0.0, 0.0, mem[p], 0.5 * velocity_variance(mem, r))
+    position, velocity = mem[element_at(mem, r, 0, 0)], 0.5 * velocity_variance(mem, r)
+    _set_offset(mem, r + Hypothesis.IMU_OFFSET, 0.0, 0.0, position, velocity)
     mem[r + Hypothesis.SCORE] += math.log(FAULT_RATE * min(max(interval, SHORTEST_CORRELATION), LONGEST_INTERVAL))
 
 

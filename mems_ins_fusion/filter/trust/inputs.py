@@ -282,17 +282,19 @@ def integrate_displacement(mem, r, at, n, c, sample):
     yaw_variance, density = 0.0, SPEED_CORRELATION * mem[at + Event.R_NN]
     kind, error = mem[at + Event.KIND], _constant_error(mem, at)
     known = mem[r + NAV + error] if error >= 0 else 0.0
+    unfollowed = mem[seen_of(mem, r, at) + Seen.UNFOLLOWED]
     if kind == Kind.VELOCITY:  # it has directions of its own
         v_n, v_e = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
     elif is_of_heading(kind):  # a displacement along the heading
         forward = body_velocity(mem, r, vehicle_to_level(mem, r, c), 0)
-        yaw = magnetometer.heading(mem, r, at, c) if kind == Kind.MAGNETIC else mem[at + Event.VALUE] - known
+        yaw = (magnetometer.heading(mem, r, at, c) if kind == Kind.MAGNETIC else
+               mem[at + Event.VALUE] - known + unfollowed)
         v_n, v_e = math.cos(yaw) * forward, math.sin(yaw) * forward
         x, y, z = _axle(mem, r), 0.0, 0.0
         density *= forward * forward
     else:
         vehicle = vehicle_to_level(mem, r, c)
-        forward = mem[at + Event.VALUE] / (1.0 + known)
+        forward = mem[at + Event.VALUE] / (1.0 + known) + unfollowed
         v_n, v_e = vehicle[0] * forward, vehicle[3] * forward
         x = _axle(mem, r)
         yaw_variance = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * yaw_state(mem)]

@@ -79,7 +79,10 @@ class _Seen(NamedTuple):
     TRAVELLED: int = 37  # m, north and east, by which the filter has gone since START
     BEGAN: int = 39  # velocity north and east at START, m/s,
     LATE: int = 41  # and the variance of the displacement by the error of its time offset, m^2
-    SIZE: int = 42
+    UNFOLLOWED: int = 42  # by how much its low pass is behind, m/s or rad, and the time, s: measurements/low_pass.py
+    UNFOLLOWED_TURN: int = 44  # the same of its turn rate, rad/s,
+    TURN: int = 46  # and that of the gyroscopes at its latest message, rad/s
+    SIZE: int = 47
 
 
 Seen = _Seen()
