@@ -110,7 +110,8 @@ class Problem:
     recording with the fixes used; drive: the same with averaged samples; recording: as `drive`, with the covariances
     that the filter uses written into the fixes, and without those that the filter with the given parameters refuses.
     stamp (f,): ns, of the fixes; mask (f,): the fixes with a residual. began: ns, time of the first estimate with the
-    given parameters, by the clock of the fixes. reference_clock: clock of the truth (`clock.whose`). others: further
+    given parameters, by the clock of the fixes. counted (f, b): the residuals besides the fixes that count, those of
+    the filter as given. reference_clock: clock of the truth (`clock.whose`). others: further
     parameters from which a search may start (`starts.other_starts`).
     """
 
@@ -150,12 +151,14 @@ class Problem:
             raise DiagnosisError(f'{recording.name}: the filter starts only with fixes that it does not believe later')
         self._attitude = cache(self._strapdown_attitude)
         self.runs: list[int] = []  # IMU samples of each run, of this problem and those made from it
-        self.lasting = np.ones(len(BESIDE))
+        self.lasting, self.counted = np.ones(len(BESIDE)), np.ones((len(self.stamp), len(BESIDE)), dtype=bool)
         self.base = self.residual(self.values, self.recording)
         settled = self.stamp > self.began + round(SETTLING * 1e9)
         self.mask = settled & np.isfinite(self.base.z[:, 0])
         self.lasting = lasting(self.base.beside, self.mask)
         self.base.beside[:, 1] *= self.lasting
+        self.counted = np.isfinite(self.base.beside[:, 1])
+        self.base = self.base.counting(self.counted)
 
     def without(self, outlying: np.ndarray) -> Problem:
         """The same problem with the fixes `outlying` (f,) left out, too."""
@@ -185,7 +188,7 @@ class Problem:
     def residual(self, values: dict, recording: Recording) -> Residual:
         """The innovations with other parameters or another recording (of the same fixes)."""
         found, said = self.filtered(values, recording, np.zeros(len(recording.imu), dtype=bool), run_with_constraints)
-        return replace(self.innovations(found), beside=self.beside(found, said))
+        return replace(self.innovations(found), beside=self.beside(found, said)).counting(self.counted)
 
     def beside(self, of: Run, said: Constrained) -> np.ndarray:
         """Residuals of heights and constraints and their variances, (f, 2, b): means over the time since the last fix.
