@@ -70,6 +70,22 @@ def test_likelihood_and_scores_of_several_drives_are_the_sums_of_those_of_each(p
     assert found.information(both.mask) == pytest.approx(information, rel=1e-9)
 
 
+def test_all_runs_are_compared_by_the_residuals_of_the_filter_as_given(pair):
+    # given a filter without the constraint of wheels, and one with it
+    without = Problem(pair[0], table.check({'vehicle.non_holonomic': False}))
+    fixed = Problem(pair[0], DEFAULT)
+    assert fixed.counted[:, 1].sum() > 100 and not without.counted[:, 1].any()
+    # then a run has no residual that the first filter does not have
+    more = without.residual({**without.values, 'vehicle.non_holonomic': True}, without.recording)
+    assert not np.isfinite(more.beside[:, 0])[~without.counted].any()
+    # and one that it lacks counts as the others of its kind, here those of the second half
+    assert not fixed.base.missing.any()
+    late = replace(fixed.recording, imu=fixed.recording.imu.select(slice(len(fixed.recording.imu) // 2, None)))
+    fewer = fixed.residual(fixed.values, late)
+    lacking = fixed.counted[:, 1] & ~np.isfinite(fewer.beside[:, 0, 1])
+    assert lacking.any() and fewer.missing[lacking].all()
+
+
 def test_two_drives_are_held_out_in_parts_and_three_as_wholes(problems):
     two = Drives(problems)
     for part in parts(two):  # each part has something of each drive

@@ -60,8 +60,10 @@ def test_an_arm_that_is_not_known_is_in_the_sigma_of_an_offset(drive):
     assert of_what_is_held(held, track(1.0, arm_sigma=[ARM, 0.0, 0.0]), given) == pytest.approx(further)
     assert of_what_is_held(held, track(1.0, arm=[ARM, 0.0, 0.0], arm_sigma=[ARM, 0.0, 0.0]), given) == pytest.approx(
         np.sqrt(2.0) * further, rel=0.01)
-    # an arm that is stated was measured, and one that nothing shows may be a metre
+    # an arm that is stated was measured, as well as its sigma says, and one that nothing shows may be a metre
     assert of_what_is_held(right, track(1.0, arm=[ARM, 0.0, 0.0]), stated)[0] == 0.0
+    roughly = of_what_is_held(right, track(1.0, arm=[ARM, 0.0, 0.0]), stated | {'gnss.lever_arm_sigma': ARM / 3.0})
+    assert roughly[0] == pytest.approx(abs(moved) / 3.0, rel=0.3)
     assert of_what_is_held(held, None, given)[0] > 0.99 * further[0] / ARM
 
 

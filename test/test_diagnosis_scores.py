@@ -80,6 +80,29 @@ def test_whitening_is_by_cholesky_factors():
     assert np.allclose(residual.log_likelihood(), expected, rtol=1e-8, atol=1e-8)
 
 
+def test_a_filter_that_applies_a_constraint_more_often_is_not_more_likely():
+    # given the velocities at standstills of one run, each of likelihood 3 and more, and of one that lacks some of them
+    # and has others instead
+    rng, n = np.random.default_rng(5), 200
+    fixes = white(rng, n)
+    beside = np.stack([0.02 * rng.standard_normal((n, 1)), np.full((n, 1), 0.02**2)], axis=1)
+    there = np.zeros((n, 1), dtype=bool)
+    there[20:80] = True
+    lacks, more = np.arange(n) < 40, np.arange(n) >= 60
+
+    def counted(seen):
+        return replace(fixes, beside=np.where(seen[:, None, None], beside, np.nan)).counting(there)
+
+    # then those that both have count as they are, one that is missing as the mean of the others of that run, and one
+    # that the first run does not have counts nothing
+    alone = fixes.log_likelihood()
+    each = np.log(1 / 0.02) - 0.5 * tempered((beside[:, 0, 0] / 0.02) ** 2)
+    whole, few, many = (counted(seen).log_likelihood() - alone for seen in (there[:, 0], ~lacks, more | there[:, 0]))
+    assert np.allclose(whole, np.where(there[:, 0], each, 0.0)) and np.allclose(many, whole)
+    assert np.allclose(few[40:80], each[40:80]) and np.allclose(few[20:40], each[40:80].mean())
+    assert not few[:20].any() and not few[80:].any()
+
+
 def test_along_and_across_is_the_same_in_turned_axes():
     residual = white(np.random.default_rng(2))
     for k, turned in enumerate(residual.along_across()):

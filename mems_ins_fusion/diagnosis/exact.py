@@ -94,7 +94,7 @@ def _shown(unknown: Unknown, track: Offset, given: Mapping) -> tuple[float, floa
 
 def _doubt(unknown: Unknown, track: Offset | None, given: Mapping) -> float:
     """Standard deviation of `unknown` (one of HELD) about its given value: from the track, or its usual size without
-    one. 0 for a lever arm that is given: it was measured."""
+    one. A lever arm that is given was measured, to `gnss.lever_arm_sigma` forward and left."""
     if unknown.effect == 'gnss_lever_arm' and any(given['gnss.lever_arm']):
-        return 0.0
+        return given['gnss.lever_arm_sigma'] if unknown.parameter in ('x', 'y') else 0.0
     return unknown.usual if track is None else math.hypot(*_shown(unknown, track, given))

@@ -22,7 +22,7 @@ from ..filter.measurements.registry import aiding
 from ..filter.memory import PLANAR, Event, Kind, Verdict
 from ..filter.runs.replay import Constrained, run, run_with_constraints
 from ..filter.runs.results import Run
-from ..filter.start.start import transferred
+from ..filter.start.start import Start, transferred
 from ..samples import Fixes, ImuSamples, Recording
 from ..threads import threads
 from .clock import GNSS, IMU
@@ -41,6 +41,8 @@ _ALIGNING = 100_000
 FLOOR = 0.1
 #: largest share of the fixes that can be outliers: if the filter refuses more, the filter is wrong
 MOST_OUTLIERS = 0.2
+#: smallest share of the fixes that the filter uses after its own start, which it has to use after another one, too
+SEEN_TOO = 0.9
 #: names of the residuals besides the horizontal position of a fix: its height, and those of the constraints
 BESIDE = ('height', 'sideways', 'upwards', 'north at rest', 'east at rest', 'down at rest')
 FEWEST_SAID = 3  # smallest number of constraints since the last fix of which a mean is taken
@@ -110,7 +112,8 @@ class Problem:
     recording with the fixes used; drive: the same with averaged samples; recording: as `drive`, with the covariances
     that the filter uses written into the fixes, and without those that the filter with the given parameters refuses.
     stamp (f,): ns, of the fixes; mask (f,): the fixes with a residual. began: ns, time of the first estimate with the
-    given parameters, by the clock of the fixes. reference_clock: clock of the truth (`clock.whose`). others: further
+    given parameters, by the clock of the fixes. counted (f, b): the residuals besides the fixes that count, those of
+    the filter as given. reference_clock: clock of the truth (`clock.whose`). others: further
     parameters from which a search may start (`starts.other_starts`).
     """
 
@@ -144,18 +147,37 @@ class Problem:
                 aiding_of(recording), keep=np.zeros(len(self.drive.imu), dtype=bool)), len(self.stamp))
         self.recording = replace(self.drive, gnss=believed(self.drive.gnss, self.claimed, 0.0, self.outlying))
         self.config = FilterConfig.from_parameters(self.values)
-        self.start = run(self.config, self.recording.imu, self.recording.gnss, aiding_of(recording),
-                         keep=np.zeros(len(self.recording.imu), dtype=bool)).start
+        self.start = self._start([self.values, *(without_adaptation(other, recording) for other in others)])
         if self.start is None:
             raise DiagnosisError(f'{recording.name}: the filter starts only with fixes that it does not believe later')
         self._attitude = cache(self._strapdown_attitude)
         self.runs: list[int] = []  # IMU samples of each run, of this problem and those made from it
-        self.lasting = np.ones(len(BESIDE))
+        self.lasting, self.counted = np.ones(len(BESIDE)), np.ones((len(self.stamp), len(BESIDE)), dtype=bool)
         self.base = self.residual(self.values, self.recording)
         settled = self.stamp > self.began + round(SETTLING * 1e9)
         self.mask = settled & np.isfinite(self.base.z[:, 0])
         self.lasting = lasting(self.base.beside, self.mask)
         self.base.beside[:, 1] *= self.lasting
+        self.counted = np.isfinite(self.base.beside[:, 1])
+        self.base = self.base.counting(self.counted)
+
+    def _start(self, tried: Sequence[dict]) -> Start | None:
+        """The start of all runs: the one whose filter, of those with the parameters `tried`, explains the fixes best.
+
+        A start found with a wrong time offset can have a wrong heading (a vehicle at walking speed 30 deg), and with it
+        no time offset explains the fixes. None if the first filter does not start.
+        """
+        found = [run(FilterConfig.from_parameters(values), self.recording.imu, self.recording.gnss,
+                     aiding_of(self.recording), keep=np.zeros(len(self.recording.imu), dtype=bool)) for values in tried]
+        likelihoods = [self.innovations(one).log_likelihood() for one in found]
+        seen = np.isfinite(likelihoods[0])
+        best, most = found[0], 0.0
+        for one, likelihood in zip(found, likelihoods):
+            both = seen & np.isfinite(likelihood)
+            gain = float((likelihood - likelihoods[0])[both].sum())
+            if gain > most and both.sum() >= SEEN_TOO * seen.sum():
+                best, most = one, gain
+        return None if best.start is None else transferred(best.start, best.config, self.config)
 
     def without(self, outlying: np.ndarray) -> Problem:
         """The same problem with the fixes `outlying` (f,) left out, too."""
@@ -185,7 +207,7 @@ class Problem:
     def residual(self, values: dict, recording: Recording) -> Residual:
         """The innovations with other parameters or another recording (of the same fixes)."""
         found, said = self.filtered(values, recording, np.zeros(len(recording.imu), dtype=bool), run_with_constraints)
-        return replace(self.innovations(found), beside=self.beside(found, said))
+        return replace(self.innovations(found), beside=self.beside(found, said)).counting(self.counted)
 
     def beside(self, of: Run, said: Constrained) -> np.ndarray:
         """Residuals of heights and constraints and their variances, (f, 2, b): means over the time since the last fix.

@@ -20,29 +20,45 @@ class Residual:
     where a fix was not applied. yaw (f,) rad and velocity (f, 2) m/s of the prediction.
 
     beside (f, 2, b): innovation and variance of each of the other scalar residuals since the last fix (heights,
-    constraints); NaN without one."""
+    constraints); NaN without one. missing (f,): the likelihood of those that this run lacks (`counting`)."""
 
     z: np.ndarray
     s: np.ndarray
     yaw: np.ndarray
     velocity: np.ndarray
     beside: np.ndarray | None = None
+    missing: np.ndarray | None = None
 
     def __post_init__(self):
         if self.beside is None:
             object.__setattr__(self, 'beside', np.empty((len(self.z), 2, 0)))
+        if self.missing is None:
+            object.__setattr__(self, 'missing', np.zeros(len(self.z)))
 
     def log_likelihood(self) -> np.ndarray:
         """The likelihood of each innovation, (f,), without the constant."""
         determinant = self.s[:, 0] * self.s[:, 2] - self.s[:, 1] ** 2
         of_fixes = -0.5 * (np.log(determinant) + tempered(self.nis()))
-        z, s = self.beside[:, 0], self.beside[:, 1]
-        return of_fixes - 0.5 * np.nan_to_num(np.log(s) + tempered(z**2 / s)).sum(axis=1)
+        return of_fixes + np.nan_to_num(_of_scalars(self.beside)).sum(axis=1) + self.missing
+
+    def counting(self, there: np.ndarray) -> Residual:
+        """The same with the scalar residuals `there`, (f, b) bool, alone: so that the likelihoods of all runs are of
+        the same residuals.
+
+        The parameters of a filter decide at which times it applies a constraint. The likelihood of one standstill is
+        about 10, so a model that applied it more often would seem more likely. A residual that is missing counts as the
+        mean of the others of its kind, one that is not `there` does not count.
+        """
+        beside = np.where(there[:, None], self.beside, np.nan)
+        each = _of_scalars(beside)
+        seen = np.isfinite(each)
+        mean = np.where(seen, each, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+        return replace(self, beside=beside, missing=(there & ~seen) @ mean)
 
     @property
     def of_fixes(self) -> Residual:
         """The innovations of the positions alone."""
-        return replace(self, beside=None)
+        return replace(self, beside=None, missing=None)
 
     def nis(self) -> np.ndarray:
         """Normalized innovation squared, (f,)."""
@@ -66,6 +82,12 @@ class Residual:
         rotated = np.stack([c * c * nn + 2 * c * s * ne + s * s * ee, (c * c - s * s) * ne + c * s * (ee - nn),
                             s * s * nn - 2 * c * s * ne + c * c * ee], axis=1)
         return replace(self, z=turned, s=rotated).whitened()
+
+
+def _of_scalars(beside: np.ndarray) -> np.ndarray:
+    """The likelihood of each scalar residual, (f, b), without the constant; NaN without one."""
+    z, s = beside[:, 0], beside[:, 1]
+    return -0.5 * (np.log(s) + tempered(z**2 / s))
 
 
 def tempered(nis: np.ndarray, tail: float = TAIL) -> np.ndarray:

@@ -75,7 +75,7 @@ class Answer:
 
     def lines(self) -> list[str]:
         """For the console, all of it."""
-        parts = [('why', self.why), (self.label, self.wrong), ('cost', self.cost),
+        parts = [('why', self.why), (self.label, self.wrong), ('error', self.cost),
                  ('trust', [self.trust] if self.trust else []), ('remains', self.remains)]
         said = [self.headline, *(f'{name}: {text}' for name, texts in parts for text in texts)]
         for step in self.steps:
@@ -84,7 +84,7 @@ class Answer:
 
     def html(self) -> Html:
         """For the page, first of all: as on the console."""
-        parts = [(self.label, self.noted[:1]), ('cost', self.cost[len(self.cost) // 2:][:1]),
+        parts = [(self.label, self.noted[:1]), ('error', self.cost[len(self.cost) // 2:][:1]),
                  ('trust', [self.trust] if self.trust else [])]
         lines = ''.join(f'<p><b>{name}:</b> {paragraph(text)[3:-4]}</p>' for name, texts in parts for text in texts)
         headline = Html(paragraph(self.headline).replace('<p>', '<p class="headline">', 1))
@@ -94,7 +94,7 @@ class Answer:
     def evidence(self) -> Html:
         """For the page, folded away: all that the answer holds."""
         parts = [_part('Why', self.why), _part('What is wrong, or not known', self.wrong),
-                 _part('What it costs without fixes', self.cost),
+                 _part('Errors, with fixes and without', self.cost),
                  _part('Can its own uncertainty be trusted?', [self.trust] if self.trust else []),
                  _part('What remains', self.remains),
                  '<h3>What to do next</h3>' + self._steps(self.steps) if self.steps else '']
