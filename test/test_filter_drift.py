@@ -114,7 +114,7 @@ def test_what_a_receiver_may_have_moved_is_no_drift(constraints, factor, moved, 
     config = configure({**CAR, 'sensor_error_model': 'random_walk', 'gyroscope.random_walk.q': [1e-5],
                         'vehicle.zero_velocity': constraints})
     memory = started(config)
-    r, x, e = int(memory[Head.ROWS_AT]), NAV + 9, NAV + 15 + 45 + 54
+    r, x, e = int(memory[Head.ROWS_AT]), NAV + 9, NAV + 15 + 9 * 15
     told = 0.5 * WINDOW * 1e-10
     memory[r + Nav.TIME], memory[r + Drift.TIME], memory[r + Nav.VARIANCE_FACTOR] = 1.0 + WINDOW, 1.0, factor
     for k in range(3, 6):
