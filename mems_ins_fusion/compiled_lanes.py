@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import operator
 
-from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.datamodel import models, register_default
 from numba.core.imputils import lower_builtin
@@ -17,6 +16,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.core.typing.templates import signature as signature_of
 from numba.extending import type_callable
 
+ir = cgutils.ir  # llvmlite's
 LANES = 4
 
 

@@ -30,7 +30,7 @@ class _Fault(NamedTuple):
 Fault = _Fault()
 #: in words, by number
 FAULTS = ('', 'out of range', 'spike', 'saturated', 'frozen', 'all zero',
-          'contradicted by the fixes (units? imu.mounting_rpy?)')
+          'contradicted by the fixes (units? imu.mounting_rpy? gnss.time_offset?)')
 
 #: settings, and what has been seen of the samples as they came, sensor axes
 Imu = HEAD.place(
