@@ -29,6 +29,11 @@ UNSAID = {'nothing', 'claimed sigma a tenth of the true one', 'altitude 1000 m o
 FOLLOWED = {'fixes drift away by 3 m/s for 20 s', 'fixes 6 m off for 20 s'}
 #: what only the constraint shows, and as soon as it does: it may cost so many times what coasting through it does
 SHOWN_BY_MOTION = {'gyroscope z 5 deg/s off for 10 s': 2.0}
+#: m: what is found only when the filter is off by tens of metres (docs/faults.md), and how far it may be: a third of
+#: where such an IMU alone would take it, or what the fixes are off and a quarter
+FOUND_LATE = {'accelerometer x 1 m/s^2 off for 20 s': 70.0, 'mount pitched by 10 deg for 20 s': 115.0,
+              'gyroscope z creeps to 1.5 deg/s in 20 s': 70.0, 'fixes 40 m off, reached in 10 s, for 40 s': 50.0,
+              'fixes wander by 8 m for 60 s': 30.0}
 
 
 @pytest.mark.parametrize('fault', FAULTS, ids=lambda fault: fault.name)
@@ -47,13 +52,15 @@ def test_a_fault_is_contained_said_and_forgotten(fault):
     assert later(faulty) < (3.0 if fault.name not in FOLLOWED else 6.0) * max(later(clean), 1.0)
     # and meanwhile it costs no more than coasting through it would, or than fixes without an IMU: their scatter and
     # what a car may do in the second between two
-    if fault.duration <= 20.0 and fault.name not in FOLLOWED:
+    if fault.name in FOUND_LATE:
+        assert during(faulty) < FOUND_LATE[fault.name]
+    elif fault.duration <= 20.0 and fault.name not in FOLLOWED:
         allowed = SHOWN_BY_MOTION.get(fault.name, 1.3)
         assert during(faulty) < max(allowed * during(coasting), 3.0 * max(during(clean), 2.0))
     # and the covariance holds it
     if fault.name not in FOLLOWED:
         lasts = (faulty.time >= 0) & (faulty.time <= fault.duration + 60.0)
-        assert faulty.inside[lasts].mean() > 0.9
+        assert faulty.inside[lasts].mean() > (0.9 if fault.name not in FOUND_LATE else 0.6)
     # and it is said
     assert bool(faulty.said) or fault.name in UNSAID
 

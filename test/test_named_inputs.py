@@ -146,12 +146,12 @@ def test_two_wheels_of_an_axle_tell_the_turn_rate():
 def test_wheels_have_their_own_scales_and_barometers_their_own_biases():
     values = given(**{**WHEELS, 'inputs': ['left', 'right', 'roof'], 'roof.type': 'pressure', 'roof.topic': '/baro'})
     names = FilterConfig.from_parameters(values).layout.names
-    assert names[-6:] == tuple(name for input_, state in (('left', 'scale'), ('right', 'scale'), ('roof', 'bias'))
-                               for name in (f'{input_}_{state}', f'{input_}_time_offset'))
+    assert names[-7:] == ('left_scale', 'left_time_offset', 'right_scale', 'right_time_offset', 'roof_bias',
+                          'roof_dynamic', 'roof_time_offset')
     recording = recorded(values, speed_scale=0.0)
     right = recording.others['right']
     result = through(values, recording.having({'right': replace(right, speed=1.03 * right.speed)}))
-    scales = result.extras[-1, [-6, -4]]
+    scales = result.extras[-1, [-7, -5]]
     assert scales == pytest.approx([0.0, 0.03], abs=0.006)
 
 

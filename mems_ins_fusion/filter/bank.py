@@ -193,7 +193,9 @@ def _start_without_imu(memory, other, r):
     swapped = memory[r + Hypothesis.FIXES_WRONG] == 0.0
     refusing, using = (other, memory) if swapped else (memory, other)
     nats, time = refusing[r + Hypothesis.IMU_NATS], memory[r + Nav.FIX_TIME]
-    if (refusing[r + Hypothesis.FIXES_WRONG] == 0.0 or nats < 0.0
+    # as long as the latest fix fits the filter that uses them, that goes on with the IMU: stamps may be off, too
+    fits = using[r + Hypothesis.OUTLIER_NATS] < 0.0
+    if (refusing[r + Hypothesis.FIXES_WRONG] == 0.0 or nats < 0.0 or fits
             or hypotheses.score(refusing, r) + nats < hypotheses.score(using, r)
             or imu_faults.is_contradicted(using, r, time)):
         return
