@@ -175,15 +175,21 @@ def _start_from_fixes(memory, other, r, interval):
     memory[Bank.OPEN], memory[Bank.WRONG_SINCE], memory[Bank.SEARCHED] = 1.0, begun, 1.0
     memory[r + Hypothesis.AGAINST_START] = 1.0
     memory[Bank.SCATTER] = excess_scatter(memory, r)
-    newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
-    start = state_at(other, k)
-    other[start + Hypothesis.START_DUE] = 1.0
+    _start_anew(other, _before(other, other[r + Nav.FIX_TIME]), 1.0)
+    behind = hypotheses.restart_penalty(memory, memory[r + Nav.FIX_TIME] - begun)
+    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
+
+
+@njit(_nrt=False)
+def _start_anew(other, k, due):
+    """Let `other` start anew from the first fix after state number k, and repeat what followed; due: what
+    `Hypothesis.START_DUE` says."""
+    start, newest = state_at(other, k), int(other[Head.SAMPLES])
+    other[start + Hypothesis.START_DUE] = due
     other[Head.FORGOTTEN] = max(other[Head.FORGOTTEN], other[start + Nav.TIME])  # a late fix must not undo the start
     for j in range(k + 1, newest + 1):
         advance(other, j)
-    other[r + Hypothesis.START_DUE] = 0.0
-    behind = hypotheses.restart_penalty(memory, memory[r + Nav.FIX_TIME] - begun)
-    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
+    other[state_at(other, newest) + Hypothesis.START_DUE] = 0.0
 
 
 @njit(_nrt=False)
@@ -199,7 +205,7 @@ def _start_without_imu(memory, other, r):
             or hypotheses.score(refusing, r) + nats < hypotheses.score(using, r)
             or imu_faults.is_contradicted(using, r, time)):
         return
-    newest, k = int(memory[Head.SAMPLES]), _before(refusing, time)
+    k = _before(refusing, time)
     before = refusing[state_at(refusing, k) + Nav.TIME]
     if before >= time or before < refusing[Head.FORGOTTEN]:
         return
@@ -211,12 +217,10 @@ def _start_without_imu(memory, other, r):
     for i in range(Hypothesis.IMU_OFFSET, Hypothesis.IMU_VARIANCE + 3):  # with what the latest fix has told
         other[start + i] = memory[r + i]
     other[start + Nav.DIVERGENCES], other[start + Nav.DIVERGENCE_TIME] = again, latest
-    other[start + Hypothesis.FIXES_WRONG], other[start + Hypothesis.START_DUE] = 0.0, 2.0
+    other[start + Hypothesis.FIXES_WRONG] = 0.0
     squared = 0.5 * (memory[r + Hypothesis.IMU_DRIFT] ** 2 + memory[r + Hypothesis.IMU_DRIFT + 1] ** 2)
     learn_from_velocity(other, start, time, squared, time - memory[Bank.WRONG_SINCE])
-    other[Head.FORGOTTEN] = max(other[Head.FORGOTTEN], before)  # a late fix must not undo the start
-    for j in range(k + 1, newest + 1):
-        advance(other, j)
+    _start_anew(other, k, 2.0)
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] + nats
     _swap(memory, other)
     memory[Bank.SEARCHED] = 1.0

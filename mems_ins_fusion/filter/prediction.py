@@ -545,8 +545,6 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         _add(mem, q, k, n, white_f, (h * x, h * y, h * z, x, y, z, 0.0, 0.0, 0.0))
         _add(mem, q + 27, k + 3 * p, n, white_w, (
             h * turned[0], h * turned[1], h * turned[2], turned[0], turned[1], turned[2], x, y, z))
-    # the result is symmetric: of the rows of velocity and attitude only the elements from the diagonal block on are
-    # needed
     to = nonnegative(dst + a)  # of the rows of velocity and attitude only what is not below the diagonal is needed
     for i in range(3):
         _store(mem, to + n * i, 1, _strapdown_column(mem, transition, g + n * i, 1, u + i, 9))

@@ -254,10 +254,8 @@ def _correct_offset(mem, at, z_n, z_e, r_nn):
 def begin_refusing(mem, r, interval):
     """The filter with the state at r says from now on that the fixes are wrong. interval: s between fixes."""
     mem[r + Hypothesis.FIXES_WRONG] = 1.0
-    mem[r + Hypothesis.VARIANCE] = mem[r + Hypothesis.AGAINST_START] = mem[r + Hypothesis.ENDED] = 0.0
-    mem[r + Hypothesis.START_DUE] = 0.0
-    for i in range(2):
-        mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
+    mem[r + Hypothesis.AGAINST_START] = mem[r + Hypothesis.ENDED] = mem[r + Hypothesis.START_DUE] = 0.0
+    _set_offset(mem, r + Hypothesis.OFFSET, 0.0, 0.0, 0.0, 0.0)
     mem[r + Hypothesis.IMU_NATS] = IMU_FAULT_PRIOR - math.log(FAULT_RATE)
     position, velocity = mem[element_at(mem, r, 0, 0)], 0.5 * velocity_variance(mem, r)
     _set_offset(mem, r + Hypothesis.IMU_OFFSET, 0.0, 0.0, position, velocity)

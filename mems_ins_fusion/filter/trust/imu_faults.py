@@ -78,8 +78,8 @@ CONTRADICTED_TIME = 30.0
 @njit(_nrt=False)
 def is_contradicted(mem, r, time):
     """Whether what the fixes have shown till the state at r speaks against the IMU at `time`."""
-    lasts = CONTRADICTED_TIME * 2.0 ** (mem[r + Nav.DIVERGENCES] - 1.0)
-    return mem[r + Nav.DIVERGENCES] >= 1.0 and time - mem[r + Nav.DIVERGENCE_TIME] < lasts
+    times = mem[r + Nav.DIVERGENCES]
+    return times >= 1.0 and time - mem[r + Nav.DIVERGENCE_TIME] < CONTRADICTED_TIME * 2.0 ** (times - 1.0)
 
 
 @njit(_nrt=False)
