@@ -169,19 +169,15 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
         turned = float(np.median([one.turned for one in seen]))
         yield Setting(f'{name}.offset', round(turned, 4), (f'it is {math.degrees(turned):.1f} deg clockwise from the '
                                                            'course of the fixes',))
-    axes = [one.axes for one in seen if one.axes is not None]
+    axes = [(one.axes.yaw, one.axes.sigma) for one in seen if one.axes is not None]
     if axes:
-        yaw, sigma = (float(x) for x in weighted(*(np.array([getattr(one, part) for one in axes])
-                                                   for part in ('yaw', 'sigma'))))
-        sure = is_sure(yaw, sigma, OF_SEVERAL)
+        yaw, sigma, sure = _together(axes)
         yield Setting(f'{name}.yaw', round(yaw, 4) if sure else 0.0, (
             f'straight on it moves sideways: its axes are turned to the left by {math.degrees(yaw):.1f} +- '
             f'{math.degrees(sigma):.1f} deg{"" if sure else at_zero(OF_SEVERAL)}',))
-    flows = [one.dynamic for one in seen if one.dynamic is not None]
+    flows = [(one.dynamic.share, one.dynamic.sigma) for one in seen if one.dynamic is not None]
     if flows:
-        share, sigma = (float(x) for x in weighted(*(np.array([getattr(one, part) for one in flows])
-                                                     for part in ('share', 'sigma'))))
-        sure = is_sure(share, sigma, OF_SEVERAL)
+        share, sigma, sure = _together(flows)
         yield Setting(f'{name}.dynamic', round(share, 2) if sure else 0.0, (
             f'its heights beside those of the fixes have {share:.2f} +- {sigma:.2f} of the dynamic pressure'
             f'{"" if sure else at_zero(OF_SEVERAL)}',))
@@ -191,8 +187,7 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
             f'it scatters by {max(noise):.2g} m at rest, more than {TOO_SURE:g} times what it states',))
     lags = [one.lag for one in seen if one.lag is not None]
     if lags:
-        lag, sigma = (float(x) for x in weighted(*(np.array(part) for part in zip(*lags))))
-        sure = is_sure(lag, sigma, OF_SEVERAL)
+        lag, sigma, sure = _together(lags)
         of_receiver = kind in ('fix', 'velocity')
         # that of the plain velocity is counted beside gnss.time_offset
         begin = first.get('gnss.time_offset', 0.0) if of_receiver and name != 'velocity' else 0.0
@@ -208,12 +203,18 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
             'its axes are taken to be those of the IMU; hard and soft iron are estimated while driving'))
 
 
+def _together(shown: Sequence[tuple[float, float]]) -> tuple[float, float, bool]:
+    """What several recordings show together, of what each shows with its sigma: value, sigma, and whether it is sure.
+    """
+    value, sigma = (float(x) for x in weighted(*(np.array(part) for part in zip(*shown))))
+    return value, sigma, is_sure(value, sigma, OF_SEVERAL)
+
+
 def _low_pass_settings(name: str, seen: Sequence[InputShown]):
     """The part of the time offset that a low pass makes, where it is certain."""
-    found = [one.low_pass for one in seen if one.low_pass is not None]
+    found = [(one.low_pass.tau, one.low_pass.sigma) for one in seen if one.low_pass is not None]
     if found:
-        tau, sigma = (float(x) for x in weighted(*(np.array([getattr(one, part) for one in found])
-                                                   for part in ('tau', 'sigma'))))
+        tau, sigma, _ = _together(found)
         if LowPass(tau, sigma).certain:
             yield Setting(f'{name}.lag', round(tau, 2), (
                 f'a low pass of {tau:.2f} +- {sigma:.2f} s makes a part of the time offset',))
