@@ -17,6 +17,7 @@ from ..update import scratch_of
 from . import hypotheses
 from .drift import Drift
 from .hypotheses import Hypothesis
+from .line import add_to_line, begin_line, fit_line
 from .receiver import Receiver, excess_scatter
 from .scale import reset_scale
 
@@ -61,21 +62,12 @@ def note(mem, r, at):
     """
     time = mem[at + Event.TIME]
     if mem[at + Event.VERDICT] != Verdict.REFUSED or _may_start(mem, r) and not _agree_as_claimed(mem, r):
-        for i in range(Nav.REFUSED, Nav.SUM_SQUARE + 1):
-            mem[r + i] = 0.0
+        begin_line(mem, r + Nav.REFUSED, 0.0)
     if mem[at + Event.VERDICT] != Verdict.REFUSED:
         return
     if mem[r + Nav.REFUSED] == 0.0:
         mem[r + Nav.REFUSED_SINCE] = time
-    t, z_n, z_e = time - mem[r + Nav.REFUSED_SINCE], mem[at + Event.Z_N], mem[at + Event.Z_E]
-    mem[r + Nav.REFUSED] += 1.0
-    mem[r + Nav.SUM_T] += t
-    mem[r + Nav.SUM_TT] += t * t
-    mem[r + Nav.SUM_N] += z_n
-    mem[r + Nav.SUM_TN] += t * z_n
-    mem[r + Nav.SUM_E] += z_e
-    mem[r + Nav.SUM_TE] += t * z_e
-    mem[r + Nav.SUM_SQUARE] += z_n * z_n + z_e * z_e
+    add_to_line(mem, r + Nav.REFUSED, time, mem[at + Event.Z_N], mem[at + Event.Z_E], 1.0)
 
 
 @njit(_nrt=False)
@@ -118,25 +110,10 @@ def is_due(mem, r, at):
 @njit(_nrt=False)
 def _agree(mem, r, claimed):
     """Whether the refused innovations lie on a line; claimed: variance of a fix, both components, m^2."""
-    _, _, spread, _ = _line(mem, r)
+    _, _, spread, _ = fit_line(mem, r + Nav.REFUSED)
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
     sigma = math.sqrt(excess_scatter(mem, r) * claimed)
     return math.sqrt(spread) < AGREEMENT_SIGMAS * (sigma + AGREEMENT_FLOOR) + AGREEMENT_SHARE * size
-
-
-@njit(_nrt=False)
-def _line(mem, r):
-    """Slope (north, east; m/s) of the refused innovations over time, their mean square distance from the line, m^2, and
-    the variance of a component of the slope, m^2/s^2."""
-    n = mem[r + Nav.REFUSED]
-    t = mem[r + Nav.SUM_T] / n
-    spread_t = max(mem[r + Nav.SUM_TT] / n - t * t, 1e-6)
-    north, east = mem[r + Nav.SUM_N] / n, mem[r + Nav.SUM_E] / n
-    slope_n = (mem[r + Nav.SUM_TN] / n - t * north) / spread_t
-    slope_e = (mem[r + Nav.SUM_TE] / n - t * east) / spread_t
-    left = mem[r + Nav.SUM_SQUARE] / n - north * north - east * east - spread_t * (slope_n**2 + slope_e**2)
-    left = max(left, 0.0)
-    return slope_n, slope_e, left, 0.5 * left / (max(n - 2.0, 1.0) * spread_t)
 
 
 @njit(_nrt=False)
@@ -209,7 +186,7 @@ def _fix_variance(mem, r, at):
     variance = excess_scatter(mem, r) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     if mem[r + Nav.REFUSED] == 0.0:
         return variance
-    _, _, spread, _ = _line(mem, r)
+    _, _, spread, _ = fit_line(mem, r + Nav.REFUSED)
     # each component's line has two numbers that are fitted to them
     return max(variance, spread * mem[r + Nav.REFUSED] / max(mem[r + Nav.REFUSED] - 2.0, 1.0))
 
@@ -218,7 +195,7 @@ def _fix_variance(mem, r, at):
 def _velocity_of_fixes(mem, r, at, diverged):
     """Velocity (north, east) that the refused fixes show, and its variance: by how they drift from the filter, whose
     own may be of no use where it has diverged, or by the last two of them."""
-    slope_n, slope_e, _, variance = _line(mem, r)
+    slope_n, slope_e, _, variance = fit_line(mem, r + Nav.REFUSED)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
     if not diverged or not 0.0 < interval < LONGEST_PAIR:
         return mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e, NEW_VELOCITY_SIGMA**2 + variance
@@ -231,7 +208,7 @@ def _velocity_of_fixes(mem, r, at, diverged):
 def _diverged(mem, r, time):
     """Whether it was the filter that diverged from the fixes refused until `time`, s: from those of a receiver that
     jumps it stays as far as at first."""
-    slope_n, slope_e, _, variance = _line(mem, r)
+    slope_n, slope_e, _, variance = fit_line(mem, r + Nav.REFUSED)
     slope, free = math.hypot(slope_n, slope_e), max(mem[r + Nav.REFUSED] - 2.0, 1.0)
     if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
         return False  # who hardly moves cannot diverge
