@@ -15,7 +15,7 @@ from .measurements import (
     velocity,
 )
 from .measurements.geometry import body_to_level
-from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, row_of
+from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, row_of, velocity_state
 from .prediction import set_radii
 from .trust import (
     contradiction,
@@ -33,7 +33,7 @@ from .trust.fix_drift import FixDrift
 from .trust.hypotheses import Hypothesis
 from .trust.receiver import Receiver
 from .trust.scale import seen_of
-from .trust.standstill import note_speed
+from .trust.standstill import note_speed, shown_speed
 from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
 
 #: number of fixes. Up to this many refused in a row are taken for outliers: they are not used as the end of a
@@ -89,6 +89,8 @@ def _apply_fix(mem, r, at):
     if not _uses_fix(mem, r, at, n, factor):
         hypotheses.refuse_fix(mem, r, at)
         return
+    if not fixes_wrong:
+        _leave_standstill(mem, r, at, n)
     if mem[r + Nav.USE_ALL_FIXES] > 0.0:
         if contradiction.inflate_to_fit(mem, r, n, _misfit(mem, r, at, n, factor)):
             robust = gate = 0.0
@@ -115,6 +117,17 @@ def _apply_fix(mem, r, at):
         hypotheses.add_move(mem, r, r + Receiver.MOVED, before, after)
     receiver.learn(mem, r, at, left_n, left_e)
     learn_drift(mem, r)
+
+
+@njit(_nrt=False)
+def _leave_standstill(mem, r, at, n):
+    """Where the fixes show that the vehicle did not stand, P in the scratch is raised by how far position and velocity
+    may be off."""
+    speed, distance = shown_speed(mem, r, at, receiver.realised_variance(mem, r, at))
+    p, first = int(mem[Head.SCRATCH_AT]), velocity_state(mem)
+    for i in range(2):
+        mem[p + (n + 1) * i] += distance * distance
+        mem[p + (n + 1) * (first + i)] += speed * speed
 
 
 @njit(_nrt=False)

@@ -37,6 +37,7 @@ from .trust.force_noise import learn_from_velocity
 from .trust.hypotheses import Hypothesis
 from .trust.receiver import CLAIM_CHANGE, Receiver, excess_scatter
 from .trust.scale import Scale
+from .trust.standstill import Standing
 
 #: columns of the head of the first filter
 Bank = HEAD.place(
@@ -96,8 +97,10 @@ def compare(memory):
             return
     for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.CHANGING_SIZE):  # it is the same receiver
         other[r + i] = memory[r + i]
-    if excess_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]:
-        # fixes scatter that much more than was known when they did not fit: they are no longer wrong or refused
+    if (excess_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]
+            or memory[r + Standing.CONTRADICTED] == time and memory[r + Hypothesis.FIXES_WRONG] == 0.0):
+        # fixes scatter that much more than was known when they did not fit, or the vehicle did not stand then: they are
+        # no longer wrong or refused
         memory[r + Hypothesis.FIXES_WRONG] = memory[r + Hypothesis.VARIANCE] = memory[Bank.OPEN] = 0.0
         _publish_both(memory, other, r, 0.0)
         return

@@ -24,7 +24,7 @@ from .prediction import set_radii
 from .trust import contradiction, gyroscopes, hypotheses, new_start
 from .trust.force_noise import force_noise
 from .trust.imu_faults import Imu
-from .trust.standstill import wheels_turn
+from .trust.standstill import Standing, is_contradicted, wheels_turn
 from .trust.white_noise import Shown, hides_turns
 from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_update, product, project, update
 
@@ -59,7 +59,8 @@ def constrain(mem, r, sample):
 
     sample: position of the IMU sample that led to the state.
     """
-    still = mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0 and not wheels_turn(mem, r)
+    still = (mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0 and not wheels_turn(mem, r)
+             and not is_contradicted(mem, r))
     if not still and mem[Head.LATERAL_SIGMA] == 0.0:
         return
     before = hypotheses.position_and_velocity(mem, r)
@@ -79,6 +80,7 @@ def constrain(mem, r, sample):
             for i in range(2):
                 mem[p + (n + 1) * (velocity_state(mem) + i)] += mem[r + Nav.V_N + i] ** 2
     if still:
+        mem[r + Standing.TIME] = mem[r + Nav.TIME]
         dimensions = standstill.observe_velocity(mem, r, at, h, n)
         update(mem, r, at, n, dimensions, 1.0, 1.0, 0.0, 0.0, 0.0)
         _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)

@@ -85,7 +85,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
     RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
     RECOVERIES: int = column()  # restarts from fixes that had been refused
-    MECHANISMS: int = column(186)  # room for the columns that other files declare (`ROW`)
+    MECHANISMS: int = column(199)  # room for the columns that other files declare (`ROW`)
     SIZE: int = column(0)
 
 
@@ -345,7 +345,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # `StateLayout.rows`
     CHANNEL: int = column(6)  # `StateLayout.axes`
     AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
-    MECHANISMS: int = column(80)  # room for the columns that other files declare (`HEAD`)
+    MECHANISMS: int = column(81)  # room for the columns that other files declare (`HEAD`)
     SIZE: int = column(0)
 
 

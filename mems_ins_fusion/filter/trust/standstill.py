@@ -9,7 +9,7 @@ own: the quietest motion while the filter is certain that the vehicle moves, and
 studies/standstill.py compares this with fixed thresholds and counts false and missed seconds.
 
 A robot below MOVING_SPEED may be as quiet in motion as at rest, and turns on the spot. Where a speed of wheels or an
-odometry comes, it has the last word.
+odometry comes, it has the last word; and fixes that go straight on for metres contradict a standstill (`shown_speed`).
 """
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, ROW, Event, Kind, Nav, Sample, nonnegative, velocity_variance
+from .hypotheses import SHORTEST_CORRELATION
+from .line import Line, add_to_line, begin_line, fit_line
 
 #: parts of the window below: it moves on by one of these at a time
 PARTS = 6
@@ -30,10 +32,17 @@ Still = HEAD.place(
     PART=1,  # which part of the window the latest sample belongs to
     SQUARES=PARTS + 1,  # (m/s^2)^2 s: integral over each part of the square of what is left,
     DURATIONS=PARTS + 1,  # s: and how long each part is
+    CREPT=1,  # s: for how long the vehicle has certainly moved, but more slowly than LEARNING_SPEED
     MOTION=1,  # logarithm of the least root mean square of it in motion
     REST=1)  # and of what is usual at rest
 #: of a state
 WheelMotion = ROW.place('WheelMotion', TIME=1)  # s: time of the latest speed if that is significant, else 0
+Standing = ROW.place(
+    'Standing',
+    TIME=1,  # s, of the latest zero velocity,
+    LINE=Line.SIZE,  # of the fixes since it began, m from the first of them
+    FIRST=2,  # latitude and longitude of that, rad,
+    CONTRADICTED=1)  # and time, s, of the latest fix that showed that the vehicle moves; 0: none
 
 #: sigmas that it claims, beyond which a speed is certainly one of motion,
 SIGNIFICANT = 3.0
@@ -48,6 +57,21 @@ MOVING_SPEED = 1.0
 #: m/s: and where it is above this, how quiet the vehicle is in motion is learned. Half of MOVING_SPEED, as a car that
 #: creeps may be as quiet as others that stand: with all of it, a gap in the samples of such a car ended in a standstill
 LEARNING_SPEED = 0.5
+#: s: and where it has been slower than that for so long, twice WINDOW: a car that stops or drives off is for shorter
+CREEPING_TIME = 3.0
+#: m: a vehicle that stands, as its accelerometers show it, moves where fixes go straight on for so far, further than
+#: those of a receiver that finds or loses its base change
+SHORTEST_DISTANCE = 1.0
+#: sigmas of a fix, and for so far: errors by reflections wander by less at a standstill
+DISTANCE_SIGMAS = 7.0
+#: share of that distance by which they scatter about the line at most: fixes that jump scatter by a sixth of it
+STRAIGHT_SHARE = 0.15
+#: s for which they are compared with one line: after that the vehicle may have turned
+LONGEST_LINE = 60.0
+#: s for which a standstill that they contradict is none: time to learn how quiet the vehicle is in motion
+CONTRADICTED_TIME = 60.0
+#: fixes, a second or more apart, through which such a line goes at least. Chosen, not measured
+FEWEST_FIXES = 5.0
 #: s: time constant of each of the two low passes; an engine shakes faster than what they leave
 LOW_PASS = 0.15
 #: s: time constant of the running mean that is taken out of it, tilt and bias; after a braking it decays with this
@@ -97,6 +121,46 @@ def wheels_turn(mem, r):
 
 
 @njit(_nrt=False)
+def is_contradicted(mem, r):
+    """Whether fixes have shown lately that the vehicle moves, although its accelerometers are as quiet as at rest."""
+    latest = mem[r + Standing.CONTRADICTED]
+    return latest != 0.0 and mem[r + Nav.TIME] - latest < CONTRADICTED_TIME
+
+
+@njit(_nrt=False)
+def shown_speed(mem, r, at, variance):
+    """Speed, m/s, and distance, m, of the fixes since the begin of a standstill, the latest of them at `at`; zeros
+    where they do not contradict it.
+
+    variance: of a component of the fix, as fixes scatter, m^2.
+    """
+    line, time = r + Standing.LINE, mem[at + Event.TIME]
+    stands = time - mem[r + Standing.TIME] < LONGEST_VALID
+    if not stands or time - mem[line + Line.SINCE] > LONGEST_LINE or mem[r + Nav.REFUSED] > 0.0:
+        mem[line + Line.COUNT] = 0.0
+    if not stands:
+        return 0.0, 0.0
+    if mem[line + Line.COUNT] == 0.0:
+        begin_line(mem, line, time)
+        mem[r + Standing.FIRST], mem[r + Standing.FIRST + 1] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
+    weight = min(max(time - mem[r + Nav.FIX_TIME], 0.0) / SHORTEST_CORRELATION, 1.0)
+    north = (mem[at + Event.LATITUDE] - mem[r + Standing.FIRST]) / mem[r + Nav.NORTH_SCALE]
+    east = (mem[at + Event.LONGITUDE] - mem[r + Standing.FIRST + 1]) / mem[r + Nav.EAST_SCALE]
+    add_to_line(mem, line, time, north, east, weight)
+    if mem[line + Line.COUNT] < FEWEST_FIXES:
+        return 0.0, 0.0
+    slope_n, slope_e, left, _ = fit_line(mem, line)
+    speed = math.hypot(slope_n, slope_e)
+    distance = speed * (time - mem[line + Line.SINCE])
+    # a vehicle that is faster has not come to such a speed without being seen to accelerate
+    if (distance < max(SHORTEST_DISTANCE, DISTANCE_SIGMAS * math.sqrt(variance)) or speed > MOVING_SPEED
+            or math.sqrt(left) > STRAIGHT_SHARE * distance):
+        return 0.0, 0.0
+    mem[line + Line.COUNT], mem[r + Standing.CONTRADICTED] = 0.0, time
+    return speed, distance
+
+
+@njit(_nrt=False)
 def is_still(mem, sample, dt, speed, anew):
     """1 when the sample at `sample`, dt s after the one before, is one of a standstill; its state is in the head.
 
@@ -121,7 +185,9 @@ def is_still(mem, sample, dt, speed, anew):
         return 0.0
     level, separation = 0.5 * math.log(max(mean, 1e-12)), math.log(SEPARATION)
     motion, rest = mem[Still.MOTION], mem[Still.REST]
-    if speed > LEARNING_SPEED:  # the least there is: down at once, though not by one sample alone, and up slowly
+    mem[Still.CREPT] = mem[Still.CREPT] + dt if SLOWEST_SPEED < speed <= LEARNING_SPEED else 0.0
+    if speed > LEARNING_SPEED or mem[Still.CREPT] > CREEPING_TIME:
+        # the least there is: down at once, though not by one sample alone, and up slowly
         motion = min(motion + dt / FORGETTING_TIME, max(level, motion - 2.0 * dt))
     elif level < motion - separation:
         rest += min(1.0, dt / REST_TIME) * (level - rest)

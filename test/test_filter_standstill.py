@@ -1,0 +1,106 @@
+"""A robot that moves as quietly as it stands: what fixes say of a standstill that the accelerometers show."""
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from filter_support import LATITUDE, LONGITUDE, configure, fix_record, started, take_all
+from scipy.signal import lfilter
+
+from mems_ins_fusion.filter.memory import Nav, Sample, sample_at
+from mems_ins_fusion.filter.trust.line import Line, add_to_line, begin_line, fit_line
+from mems_ins_fusion.filter.trust.standstill import is_still
+from mems_ins_fusion.navigation.earth import gravity, radii
+
+METRES = radii(LATITUDE)[0]  # per radian of latitude, at height 0
+
+
+def quiet(seconds, rng):
+    """Samples (k, 7), 50 a second, of an IMU that neither accelerates nor turns, sensor axes."""
+    samples = np.zeros((50 * seconds, 7))
+    samples[:, 0] = np.arange(1, len(samples) + 1) / 50.0
+    samples[:, 3] = gravity(LATITUDE, 0.0)
+    samples[:, 1:] += rng.standard_normal((len(samples), 6)) * np.repeat([5e-3, 2e-4], 3)
+    return samples
+
+
+def fixes_of(north, interval, sigma, height=0.0):
+    """Records of fixes that are `north`, m, of the start, one each `interval`, s, which claim sigma, m."""
+    return np.array([fix_record(interval * (k + 1) - 0.001, LATITUDE + z / (METRES + height), LONGITUDE, height,
+                                np.eye(2) * sigma**2) for k, z in enumerate(north)])
+
+
+def through(north, interval, sigma, seed=1):
+    """Time, s, position north, m, and velocity, m/s, of a filter that starts at rest, with quiet sensors and these
+    fixes."""
+    config = configure({'mechanization': 'planar', 'feedback': 'closed', 'vehicle.zero_velocity': True})
+    memory = started(config, velocity=(0.1, 0.0, 0.0), attitude=(0.0, 0.0, 0.0))
+    samples = quiet(round(len(north) * interval), np.random.default_rng(seed))
+    rows, _ = take_all(memory, samples, fixes_of(north, interval, sigma),
+                             [Nav.TIME, Nav.LATITUDE, Nav.V_N, Nav.NORTH_SCALE])
+    return rows[:, 0], (rows[:, 1] - LATITUDE) / rows[:, 3], rows[:, 2]
+
+
+def test_sums_over_positions_give_the_line_of_least_squares():
+    # given weighted positions about a line
+    rng = np.random.default_rng(4)
+    time, weight = np.sort(rng.uniform(100.0, 130.0, 20)), rng.uniform(0.2, 1.0, 20)
+    north, east = 0.7 * time + rng.standard_normal(20), 3.0 - 0.2 * time + rng.standard_normal(20)
+    memory = rng.standard_normal(Line.SIZE + 2)
+    begin_line(memory, 2, time[0])
+    for values in zip(time, north, east, weight):
+        add_to_line(memory, 2, *values)
+    slope_n, slope_e, left, variance = fit_line(memory, 2)
+    # then NumPy's line through them has these slopes and this mean square distance
+    lines = [np.polyfit(time, z, 1, w=np.sqrt(weight)) for z in (north, east)]
+    assert [slope_n, slope_e] == pytest.approx([line[0] for line in lines])
+    squares = sum(weight @ (z - np.polyval(line, time)) ** 2 for z, line in zip((north, east), lines))
+    assert left == pytest.approx(squares / weight.sum(), rel=1e-6)
+    spread = np.cov(time, aweights=weight, ddof=0)
+    assert variance == pytest.approx(0.5 * left / ((weight.sum() - 2.0) * spread))
+
+
+@pytest.mark.parametrize(('sigma', 'interval'), [(0.1, 1.0), (0.5, 0.2), (1.5, 1.0)])
+def test_a_robot_that_moves_as_quietly_as_it_stands_is_not_held_at_rest(sigma, interval):
+    # given a robot that goes on at 0.4 m/s for three minutes as if it stood, and fixes
+    truth = 0.4 * interval * np.arange(1, round(180.0 / interval) + 1)
+    time, north, velocity = through(truth + sigma * np.random.default_rng(2).standard_normal(len(truth)), interval,
+                                       sigma)
+    # then a standstill is taken for one until the fixes have gone far enough to tell, and it is never far behind again
+    far = np.abs(north - 0.4 * time)
+    assert far[time > 10.0].max() < 14.0 * sigma + 2.0
+    assert np.median(far[time > 90.0]) < 2.0 * sigma + 0.2
+    assert np.median(velocity[time > 90.0]) == pytest.approx(0.4, abs=0.2)
+
+
+@pytest.mark.parametrize('kind', ['white', 'jump', 'wander'])
+def test_fixes_of_a_vehicle_that_stands_do_not_contradict_it(kind):
+    # given an hour at rest, and fixes that claim 0.5 m and scatter by that, jump by 3 m, too, or wander by it
+    rng = np.random.default_rng(3)
+    noise = (0.1 if kind == 'wander' else 0.5) * rng.standard_normal(3600)
+    if kind == 'jump':
+        noise += 3.0 * (np.arange(3600) // 45 % 2)
+    elif kind == 'wander':
+        keep = np.exp(-1.0 / 30.0)
+        noise += 0.5 * lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.standard_normal(3600))
+    time, _, velocity = through(noise, 1.0, 0.5)
+    # then the vehicle stays at rest
+    assert np.abs(velocity[time > 10.0]).max() < 0.02
+
+
+def test_a_vehicle_that_stands_does_not_gain_speed_without_accelerating():
+    # given a vehicle that stands for two minutes, and fixes that drift away at 3 m/s from 60 s on
+    north = 3.0 * np.clip(np.arange(1, 121) - 60.0, 0.0, None)
+    time, _, velocity = through(north + 0.3 * np.random.default_rng(5).standard_normal(120), 1.0, 0.3)
+    # then it is the receiver that is wrong
+    assert np.abs(velocity[(time > 10.0) & (time < 85.0)]).max() < 0.05
+
+
+def test_what_is_certainly_slow_for_seconds_shows_how_quiet_the_vehicle_is_in_motion():
+    # given a robot that goes at 0.3 m/s, certainly at first, and is as quiet as others at rest
+    time = 0.01 * np.arange(6000)
+    memory = configure({'mechanization': 'planar', 'vehicle.zero_velocity': True}).memory()
+    sample, flags = sample_at(memory, 1), np.zeros(len(time), dtype=bool)
+    for k in range(1, len(time)):
+        memory[sample + Sample.F_X] = 0.02 * np.sin(3.0 * time[k])
+        flags[k] = is_still(memory, sample, 0.01, 0.25 if time[k] < 30.0 else 0.0, False)
+    assert flags[(time > 1.6) & (time < 2.9)].any() and not flags[time > 10.0].any()
