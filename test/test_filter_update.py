@@ -270,6 +270,27 @@ def test_late_fixes_give_bit_for_bit_what_fixes_in_time_give(model, mechanizatio
     assert not np.array_equal(newest(without), newest(in_order))
 
 
+def test_a_fix_that_comes_late_at_a_standstill_gives_what_one_in_time_gives():
+    # given a vehicle at rest whose engine shakes the gyroscopes more and more, and a fix that comes late
+    config = made('GM', 'strapdown', 'closed', **{'vehicle.zero_velocity': True})
+    times, rng = np.round(0.01 * np.arange(1, 500), 9), np.random.default_rng(8)
+    rates = 0.001 * times[:, None] * rng.standard_normal((len(times), 3))
+
+    def played(arrival):
+        memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.7), p=0.01 * np.eye(config.layout.n))
+        for time, rate in zip(times, rates):
+            if time >= arrival > time - 0.01:
+                assert take_event(memory, fix_record(3.005, r=R)) == TAKEN
+            take_sample(memory, time, 0.0, 0.0, 9.8, *rate)
+        return memory
+
+    in_time = played(3.01)
+    samples = views(in_time)[3][1:500]
+    assert (samples[300:, Sample.CONSTRAINT] == Kind.ZERO_VELOCITY).any()
+    # then it is not the engine's noise of later that tells how well the gyroscopes were known then
+    assert np.array_equal(newest(played(3.95)), newest(in_time))
+
+
 def test_a_late_fix_loses_nothing_of_a_fast_sensor_beside_it():
     # given a wheel speed at 100 Hz, and a fix that comes 4 s late, within the delay
     config = made('GM', 'planar', 'closed', **{'gnss.max_delay': 5.0, 'speed_topic': '/speed'})

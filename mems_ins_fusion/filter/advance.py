@@ -141,6 +141,7 @@ def take_sample(memory, samples, i):
     contradicted = imu_faults.is_contradicted(memory, before, time)
     fault = imu_faults.check(memory, samples, i, dt, speed, contradicted, before_fault)
     memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
+    memory[sample + Sample.RATE_SCATTER] = memory[Imu.SPREAD + 1]
     if fault == Fault.NONE:
         _condition(memory, sample, Imu.RAW)
     elif fault != Fault.CONTRADICTED and memory[before + Nav.BRIDGED] < LONGEST_HELD:

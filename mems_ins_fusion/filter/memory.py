@@ -374,6 +374,7 @@ class _Sample(NamedTuple):
     S: int = column(3)  # and its variances
     COASTED: int = column()  # 1: replaced by a sample of straight motion at constant speed
     INTERVAL: int = column()  # s since the previous sample
+    RATE_SCATTER: int = column()  # (rad/s)^2, running variance of the angular rates up to it
     MECHANISMS: int = column(10)  # room for the columns that other files declare (`SAMPLE`)
     SIZE: int = column(0)
 
