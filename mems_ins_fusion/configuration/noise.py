@@ -40,8 +40,8 @@ def find_noise(imu: ImuSamples, still: np.ndarray) -> Noise | None:
     The filter integrates the samples, so what matters is the noise of means over a second and more: the Allan
     deviation. A running engine, or people who get in, rock the vehicle on its springs, which makes the Allan deviation
     of some averaging times larger, but not that of all. So of all averaging times the one with the smallest upper bound
-    of the density is taken. The sensors of the three axes of one chip are alike, and the rocking is not about all of them, so
-    the densities are those of the quietest axis. Medians are used because of single knocks.
+    of the density is taken. The sensors of the three axes of one chip are alike, and the rocking is not about all of
+    them, so the densities are those of the quietest axis. Medians are used because of single knocks.
     """
     interval = float(np.median(np.diff(imu.stamp))) * 1e-9 if len(imu) > 1 else 0.0
     if interval <= 0.0:

@@ -65,9 +65,10 @@ _LOW_PASSES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.55, 0.7, 0.9, 1.15, 1.5, 2.0)
 _FINE = 0.01
 
 
-#: s; a body on springs, which pitches when it speeds up, looks like such a low pass: RMS over simulated cars, and the
-#: largest
-SPRINGS, MOST_SPRINGS = 0.2, 0.3
+#: s: a body on springs, which pitches when it accelerates, looks like such a low pass. RMS over simulated cars
+SPRINGS = 0.2
+#: s, the largest of these
+MOST_SPRINGS = 0.3
 
 
 @dataclass(frozen=True)

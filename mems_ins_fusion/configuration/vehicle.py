@@ -24,8 +24,10 @@ _SIDEWAYS = 0.5
 _ARM_KNOWN = 1.0
 #: s, length of the blocks whose scatter is compared, as in the filter's check for a standstill
 _BLOCK = 1.0
-#: blocks at rest and in motion, from which on their scatter is known: chosen, not measured
-_FEWEST_AT_REST, _FEWEST_IN_MOTION = 3, 10
+#: smallest number of blocks at rest for a scatter. Chosen, not measured
+_FEWEST_AT_REST = 3
+#: the same in motion. Chosen, not measured
+_FEWEST_IN_MOTION = 10
 
 
 @dataclass(frozen=True)
