@@ -1,6 +1,6 @@
-"""What a recording leaves of the parameters: how far its estimates are from what a params file says, with their sigma.
+"""Differences between estimates from a recording and the values in a params file, with their standard deviations.
 
-The checker says it of any file, and whether a file that `configure` wrote is ready stands on the same numbers.
+The checker reports them for any file, and `configure` uses them to decide whether the file that it wrote is ready.
 """
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ ARM = 'forward', 'left', 'up'
 
 @dataclass(frozen=True)
 class Remaining:
-    """What is left of one quantity: `value`, the estimate less what the file says, and its standard deviation, infinite
-    where the recording does not show it. name: TIME_OFFSET (s), one of ANGLES (rad, about forward, left and up), or one
-    of ARM (m)."""
+    """Difference for one quantity: `value`, the estimate minus the value in the file, and its standard deviation,
+    infinite where the recording does not show it. name: TIME_OFFSET (s), one of ANGLES (rad, about forward, left and
+    up), or one of ARM (m)."""
 
     name: str
     value: float
     sigma: float
 
     def settled(self, most: float, sigmas: float = 2.0) -> bool:
-        """Whether no more than `most` can be left."""
+        """Whether the difference is certainly not larger than `most`."""
         return abs(self.value) + sigmas * self.sigma <= most
 
     def certain(self, least: float, sigmas: float) -> bool:
-        """Whether more than `least` is left, and not by chance."""
+        """Whether the difference is larger than `least`, and significant."""
         return abs(self.value) > max(least, sigmas * self.sigma)
 
 
 @dataclass(frozen=True)
 class ClockLeft(Remaining):
-    """What is left of the time offset of an input. low_pass: that it shows, as if none were declared, None where it
-    shows nothing of one. axes: what is left of how an odometry is turned, None where that does not show."""
+    """Difference for the time offset of an input. low_pass: the estimated low pass, as if none were configured, None if
+    it is not known. axes: difference for the orientation of an odometry, None if it is not known."""
 
     low_pass: LowPass | None = None
     axes: OdometryAxes | None = None
 
 
 def remaining_of(found: Mounting | None, values: Mapping) -> tuple[Remaining, ...]:
-    """What the estimates `found` leave of the parameters `values`: the angles, the time offset, the arm."""
+    """Differences between the estimates `found` and the parameters `values`: angles, time offset, lever arm."""
     if found is None:
         return tuple(Remaining(name, 0.0, math.inf) for name in (*ANGLES, TIME_OFFSET, *ARM))
     turned = deviation(found.rotation, rotation_from_rpy(*values['imu.mounting_rpy']))
