@@ -1,6 +1,6 @@
-"""Differences between estimates from a recording and the values in a params file, with their standard deviations.
+"""What a recording leaves of the parameters: how far its estimates are from what a params file says, with their sigma.
 
-The checker reports them for any file, and `configure` uses them to decide whether the file that it wrote is ready.
+The checker says it of any file, and whether a file that `configure` wrote is ready stands on the same numbers.
 """
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ ARM = 'forward', 'left', 'up'
 
 @dataclass(frozen=True)
 class Remaining:
-    """Difference for one quantity: `value`, the estimate minus the value in the file, and its standard deviation,
-    infinite where the recording does not show it. name: TIME_OFFSET (s), one of ANGLES (rad, about forward, left and
-    up), or one of ARM (m)."""
+    """What is left of one quantity: `value`, the estimate less what the file says, and its standard deviation, infinite
+    where the recording does not show it. name: TIME_OFFSET (s), one of ANGLES (rad, about forward, left and up), or one
+    of ARM (m)."""
 
     name: str
     value: float
     sigma: float
 
     def settled(self, most: float, sigmas: float = 2.0) -> bool:
-        """Whether the difference is certainly not larger than `most`."""
+        """Whether no more than `most` can be left."""
         return abs(self.value) + sigmas * self.sigma <= most
 
     def certain(self, least: float, sigmas: float) -> bool:
-        """Whether the difference is larger than `least`, and significant."""
+        """Whether more than `least` is left, and not by chance."""
         return abs(self.value) > max(least, sigmas * self.sigma)
 
 
 @dataclass(frozen=True)
 class ClockLeft(Remaining):
-    """Difference for the time offset of an input. low_pass: the estimated low pass, as if none were configured, None if
-    it is not known. axes: difference for the orientation of an odometry, None if it is not known."""
+    """What is left of the time offset of an input. low_pass: that it shows, as if none were declared, None where it
+    shows nothing of one. axes: what is left of how an odometry is turned, None where that does not show."""
 
     low_pass: LowPass | None = None
     axes: OdometryAxes | None = None
 
 
 def remaining_of(found: Mounting | None, values: Mapping) -> tuple[Remaining, ...]:
-    """Differences between the estimates `found` and the parameters `values`: angles, time offset, lever arm."""
+    """What the estimates `found` leave of the parameters `values`: the angles, the time offset, the arm."""
     if found is None:
         return tuple(Remaining(name, 0.0, math.inf) for name in (*ANGLES, TIME_OFFSET, *ARM))
     turned = deviation(found.rotation, rotation_from_rpy(*values['imu.mounting_rpy']))
