@@ -11,10 +11,10 @@ from mems_ins_fusion.filter.memory import (
     NAV,
     PLANAR,
     Event,
-    Head,
     Kind,
     Nav,
     covariance,
+    newest_row,
     row_width,
     set_covariance,
     views,
@@ -70,8 +70,7 @@ def started(config: FilterConfig, *, velocity=(12.0, -5.0, 0.3), attitude=(0.02,
 
 def newest(memory: np.ndarray) -> np.ndarray:
     """The newest state, a copy of its row."""
-    head, _, rows, *_ = views(memory)
-    return rows[int(head[Head.SAMPLES]) % int(head[Head.CAPACITY])].copy()
+    return newest_row(memory).copy()
 
 
 def state_and_covariance(config: FilterConfig, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

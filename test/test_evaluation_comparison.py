@@ -159,6 +159,14 @@ def test_errors_are_those_of_a_run_with_all_its_samples(recording):
     assert np.array_equal(errors.horizontal[errors.stamp >= result.errors.stamp[0]], result.errors.horizontal)
 
 
+def test_fixes_that_are_stamped_late_are_the_truth_of_before():
+    # given fixes whose stamps are 0.2 s later than the times of their positions by the IMU's clock
+    recording = simulate_recording(simulate_drive(30.0, 5, 50.0), None, GnssNoise(0.02)).recording
+    fixes = replace(recording, reference=None)
+    early, late = (truth_of(fixes, values(**{'gnss.time_offset': offset})).reference.stamp for offset in (0.0, 0.2))
+    assert np.array_equal(late, early - 200_000_000)
+
+
 def test_the_truth_of_a_lever_arm():
     # given an antenna 3 m ahead of the IMU, and a truth that is the IMU's
     from mems_ins_fusion.effects.registry import EFFECTS

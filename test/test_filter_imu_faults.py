@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, started, take_all, take_event, take_sample
 
-from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, state_at, views
+from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, newest_row, state_at, views
 from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu, is_contradicted
 from mems_ins_fusion.filter.trust.standstill import MOVING_SPEED, certain_speed
 from mems_ins_fusion.navigation.earth import gravity
@@ -203,9 +203,8 @@ def test_a_state_that_is_not_finite_is_taken_back(mechanization):
     config, memory, _ = driven(mechanization, lambda samples: None)
     before = newest(memory)
     # given an error estimate that has become nothing
-    head, _, rows, *_ = views(memory)
-    row = rows[int(head[Head.SAMPLES]) % int(head[Head.CAPACITY])]
-    head[Head.CONDITIONING] = np.nan
+    row = newest_row(memory)
+    views(memory)[0][Head.CONDITIONING] = np.nan
     time = row[Nav.TIME] + 1 / RATE
     sample = np.array([[time, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0]])
     states, _ = take_all(memory, sample, np.zeros((0, Event.SIZE)), [Nav.V_N])

@@ -27,7 +27,18 @@ from scipy.signal import lfilter
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import position_errors
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.memory import Event, Head, Kind, Nav, Verdict, covariance, state_at, variance_factor, views
+from mems_ins_fusion.filter.memory import (
+    Event,
+    Head,
+    Kind,
+    Nav,
+    Verdict,
+    covariance,
+    newest_row,
+    state_at,
+    variance_factor,
+    views,
+)
 from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, TWIST_COVARIANCE, odometry
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.results import MeasurementLog, columns, result
@@ -437,7 +448,7 @@ def test_one_fix_far_off_is_no_filter_that_is_too_sure():
 
 def published(config, memory, **columns_of_row):
     """Variances that leave the filter with these columns of its newest row: position, velocity and others."""
-    row = views(memory)[2][int(views(memory)[0][Head.SAMPLES]) % config.capacity]
+    row = newest_row(memory)
     for name, value in columns_of_row.items():
         row[getattr(Nav, name)] = value
     out, covariance_enu = np.zeros(SIZE), np.zeros(9)

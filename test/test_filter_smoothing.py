@@ -6,7 +6,7 @@ import pytest
 from filter_support import HEIGHT, LATITUDE, LONGITUDE, configure, newest, take_all
 
 from mems_ins_fusion.evaluation.metrics import NEES_95, Truth, position_errors, rms
-from mems_ins_fusion.filter.memory import NAV, STRAPDOWN, Event, Head, Verdict, covariance, views
+from mems_ins_fusion.filter.memory import NAV, STRAPDOWN, Event, Verdict, covariance, newest_row
 from mems_ins_fusion.filter.runs import replay, smoothing
 from mems_ins_fusion.filter.start.alignment import Start
 from mems_ins_fusion.filter.start.initial import initialize
@@ -62,8 +62,7 @@ def _dense(config, imu, records):
         columns = []
         for i in range(n):
             moved = memory.copy()
-            head, _, rows, *_ = views(moved)
-            rows[int(head[Head.SAMPLES]) % int(head[Head.CAPACITY]), NAV:NAV + n] = np.eye(n)[i]
+            newest_row(moved)[NAV:NAV + n] = np.eye(n)[i]
             take_all(moved, sample[None], records[:0], [0])
             columns.append(of(moved)[0])
         transitions.append(np.column_stack(columns))

@@ -25,7 +25,20 @@ from filter_support import (
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.filter.advance import BEFORE_START, FORGOTTEN, TAKEN, TOO_LATE
-from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Head, Kind, Nav, Sample, Verdict, sample_at, views
+from mems_ins_fusion.filter.memory import (
+    NAV,
+    NEWEST,
+    PLANAR,
+    Event,
+    Head,
+    Kind,
+    Nav,
+    Sample,
+    Verdict,
+    sample_at,
+    state_at,
+    views,
+)
 from mems_ins_fusion.filter.trust.standstill import is_still
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.simulation.drive import simulate_drive
@@ -254,8 +267,9 @@ def test_an_interval_is_split_at_the_fix(model, mechanization, feedback):
 
 @pytest.mark.parametrize(('model', 'mechanization', 'feedback'), ALL)
 def test_late_fixes_give_bit_for_bit_what_fixes_in_time_give(model, mechanization, feedback):
-    config = made(model, mechanization, feedback)
-    times = np.round(0.01 * np.arange(1, 60), 9)
+    # given so many samples that the states before the fixes are no longer in the memory, but for the first one
+    config = made(model, mechanization, feedback, **{'gnss.max_delay': 5.0})
+    times = np.round(0.01 * np.arange(1, NEWEST + 60), 9)
     samples = [('sample', t) for t in times]
     first, second, third = ('fix', 0.1533, 1.0), ('fix', 0.31, -2.0), ('fix', 0.3133, 3.0)  # one at a sample's stamp
     in_order, _ = driven(config, [first, second, third, *samples])
@@ -265,9 +279,32 @@ def test_late_fixes_give_bit_for_bit_what_fixes_in_time_give(model, mechanizatio
         assert answers == [TAKEN] * 3
         assert np.array_equal(newest(late), newest(in_order))
         # and so does each state from the sample after the fix on
-        assert np.array_equal(views(late)[2][15:60], views(in_order)[2][15:60])
+        for k in range(60, NEWEST + 60):
+            a, b = (memory[state_at(memory, k):][:int(memory[Head.WIDTH])] for memory in (late, in_order))
+            assert np.array_equal(a, b)
     without, _ = driven(config, samples)
     assert not np.array_equal(newest(without), newest(in_order))
+
+
+def test_a_fix_that_comes_late_at_a_standstill_gives_what_one_in_time_gives():
+    # given a vehicle at rest whose engine shakes the gyroscopes more and more, and a fix that comes late
+    config = made('GM', 'strapdown', 'closed', **{'vehicle.zero_velocity': True})
+    times, rng = np.round(0.01 * np.arange(1, 500), 9), np.random.default_rng(8)
+    rates = 0.001 * times[:, None] * rng.standard_normal((len(times), 3))
+
+    def played(arrival):
+        memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.7), p=0.01 * np.eye(config.layout.n))
+        for time, rate in zip(times, rates):
+            if time >= arrival > time - 0.01:
+                assert take_event(memory, fix_record(3.005, r=R)) == TAKEN
+            take_sample(memory, time, 0.0, 0.0, 9.8, *rate)
+        return memory
+
+    in_time = played(3.01)
+    samples = views(in_time)[3][1:500]
+    assert (samples[300:, Sample.CONSTRAINT] == Kind.ZERO_VELOCITY).any()
+    # then it is not the engine's noise of later that tells how well the gyroscopes were known then
+    assert np.array_equal(newest(played(3.95)), newest(in_time))
 
 
 def test_a_late_fix_loses_nothing_of_a_fast_sensor_beside_it():
@@ -330,7 +367,7 @@ def test_fixes_older_than_the_delay_or_the_memory_are_refused():
         assert np.array_equal(newest(memory), newest(plain)) == (answer != TAKEN)
     # given more samples than the memory holds, within the delay
     config = made('GM', 'planar', 'closed', **{'gnss.max_delay': 10.0})
-    count = int(views(config.memory())[0][Head.CAPACITY]) + 100
+    count = config.capacity // 2 + 100
     step = 9.0 / count
     memory, answers = driven(config, [*[('sample', step * k) for k in range(1, count)], ('fix', 50 * step, 2.0),
                                       ('fix', 150 * step, 2.0)])

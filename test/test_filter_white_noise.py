@@ -59,7 +59,7 @@ def after(rows, **values):
 
 
 def heading_variance(config, memory):
-    at = int(memory[Head.ROWS_AT]) + (int(memory[Head.SAMPLES]) % int(memory[Head.CAPACITY])) * int(memory[Head.WIDTH])
+    at = state_at(memory, int(memory[Head.SAMPLES]))
     return memory[at + covariance_index(State.PHI_D, State.PHI_D, config.layout)]
 
 

@@ -1,8 +1,8 @@
-"""From one antenna to another: where the second one is in the vehicle, and how late its fixes are against the first's.
+"""Position of a second antenna relative to the first, and time offset of its fixes, without IMU and without filter.
 
-What the fixes differ by is the vector between the antennas, turned with the vehicle, and the way that it went between
-two stamps of one moment: p2 - p1 = R(course) b - v T. Linear in b and T; no IMU, no filter. The course is that of the
-first antenna, between fixes that are not in the difference, while the vehicle moves.
+The difference of both fixes is the vector b between the antennas, turned with the vehicle, and the distance driven in
+the time offset T: p2 - p1 = R(course) b - v T, which is linear in b and T. The course is that of the first antenna in
+motion, from fixes that are not in the difference.
 """
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.recordings.motion import SLOWEST_COURSE, TIGHTEST_COURSE
 from mems_ins_fusion.samples import Fixes
 
-_CHORD = 3.0  # s: of a course; longer ones cut bends
-_SHARP = 10.0  # sigmas of a fix: a way that has a direction
-_FEWEST = 40  # fixes of both in motion
+#: s over which a course is computed: over longer times it is not that of the middle in bends
+_CHORD = 3.0
+#: shortest distance over which a course is computed, in standard deviations of a fix
+_SHARP = 10.0
+#: smallest number of fixes of both antennas in motion
+_FEWEST = 40
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,7 @@ class Baseline:
 
 
 def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
-    """What usable fixes of two receivers, in the order of their stamps, show; None with too little motion."""
+    """Estimate from usable fixes of two receivers, in the order of their stamps; None with too little motion."""
     if len(first) < _FEWEST or len(second) < _FEWEST:
         return None
     datum = np.array([first.latitude[0], first.longitude[0], first.height[0]])

@@ -1,6 +1,6 @@
 """Whether a recording fits the parameters it is to be filtered with: mounting, clocks, antenna, sigma of the fixes.
 
-The same estimates as those of `configure`, for whoever reads a recording, and for the live node.
+The same estimates as those of `configure`, for all tools that read a recording, and for the live node.
 """
 from __future__ import annotations
 
@@ -26,21 +26,26 @@ from mems_ins_fusion.recordings.findings import ERROR, INFO, SURE, WARNING, Find
 from mems_ins_fusion.recordings.motion import find_standstill, without_turns
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
-#: rad; a yaw of the mounting that is off by less is for the filter to find
+#: rad: smaller errors of the yaw of the mounting are estimated by the filter
 SMALL_YAW = math.radians(3.0)
-#: rad; and roll and pitch
+#: rad: the same of roll and pitch
 SMALL_TILT = math.radians(5.0)
-LARGE = math.radians(30.0)  # a mounting that is off by more is an error
+#: rad: a larger error of the mounting is reported as an error
+LARGE = math.radians(30.0)
+#: rad: with a larger error of the yaw the IMU is mounted backwards, or the vehicle has gone in reverse
 _BACKWARDS = math.radians(150.0)
-FASTEST_IN_REVERSE = 8.0  # m/s: a vehicle that goes faster than this goes forwards
-#: s; a time offset that is off by less is not warned of
+#: m/s, largest speed in reverse: a faster vehicle goes forwards
+FASTEST_IN_REVERSE = 8.0
+#: s: smaller errors of a time offset are not reported
 SMALL_OFFSET = 0.05
-#: a share of the dynamic pressure that is off by less is for the filter to find
+#: smaller errors of the share of the dynamic pressure are estimated by the filter
 SMALL_SHARE = 0.3
-#: m; and a part of the antenna's arm
+#: m: smaller errors of a component of the lever arm of the antenna are estimated by the filter
 SMALL_ARM = 0.3
-_FAR_BETTER = 0.05  # part of its sigma that a receiver scatters by, as no honest one does
-VAGUE_ARM = 0.3  # m: an arm with a larger sigma says nothing
+#: ratio of the actual scatter of fixes to their stated sigma, below which the sigma is certainly wrong
+_FAR_BETTER = 0.05
+#: m: a lever arm with a larger standard deviation is not compared
+VAGUE_ARM = 0.3
 YAW_NOT_SHOWN = 'whether the yaw of imu.mounting_rpy is right does not show'
 
 

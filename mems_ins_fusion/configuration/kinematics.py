@@ -1,8 +1,8 @@
-"""How a vehicle moved between the fixes, and what its inertial sensors saw in the same spans of time.
+"""Motion of the vehicle by its fixes, and means of the inertial sensors over the same spans of time.
 
-Two successive intervals between fixes make a span. The change of the mean speed from one to the other is a weighted
-mean of the acceleration, the weight rising and falling linearly; the sensors are averaged with the same weight, so that
-both describe the same quantity however long the span is.
+A span consists of two successive intervals between fixes. The change of the mean speed from the first to the second is
+a weighted mean of the acceleration, with a triangular weight. The sensors are averaged with the same weight, so that
+both are the same quantity however long the span is.
 """
 from __future__ import annotations
 
@@ -21,22 +21,30 @@ from mems_ins_fusion.recordings.motion import (
 )
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
-COURSE_WINDOW = 20.0  # s on each side, over which the gyroscopes carry the course
-LONGEST_GAP = 0.3  # s without samples in a span
-#: s; interval between two fixes of a span, at least
+#: s to each side of a span, in which the courses of the fixes are averaged, turned by the integrated angular rate
+COURSE_WINDOW = 20.0
+#: s, longest gap between samples in a span
+LONGEST_GAP = 0.3
+#: s, shortest interval between two fixes of a span
 SHORTEST = 1.0
-#: s; and at most
+#: s, longest interval between them
 LONGEST = 5.0
-FINEST = 25.0  # Hz: what is kept of the samples is enough for a vehicle
-_DENSEST = 2.0  # Hz: spans begin that often at most
-_STEPS = 3  # from a constant speed and the gyroscopes' raw bias to those of the drive
-_SLOW = 0.3  # m/s: below, a path is as one at constant speed
-_CLIMB = 60.0  # m, at least, over which a grade is measured
-_STEEPEST = 0.35  # no road is steeper
+#: Hz, rate to which the samples are reduced: enough for the motion of a vehicle
+FINEST = 25.0
+#: Hz, largest rate at which spans begin
+_DENSEST = 2.0
+#: iterations: the first assumes a constant speed and the gyroscopes without a bias, the others use the last result
+_STEPS = 3
+#: m/s: below this speed, the path within a span is computed as at constant speed
+_SLOW = 0.3
+#: m, shortest distance over which a grade is measured
+_CLIMB = 60.0
+#: steepest grade of a road
+_STEEPEST = 0.35
 
 
 class InertialIntegrals:
-    """Running integrals of specific force and angular rate in sensor axes, to be asked at any time.
+    """Integrals over time of specific force and angular rate in sensor axes, interpolated at any time.
 
     Times are seconds after `origin` (ns), FINEST of them a second.
     """
@@ -101,13 +109,13 @@ def fix_intervals(fixes: Fixes, shortest: float = SHORTEST) -> FixIntervals | No
 
 
 def fix_sigma(fixes: Fixes, path: np.ndarray) -> float:
-    """What a fix deviates from its neighbours, m: as stated, or less where the track is smoother than that."""
+    """Scatter of the fixes about their neighbours, m: as stated, or less where the track is smoother."""
     return float(np.clip(scatter_of_track(path), 0.005, max(middle_sigma(fixes), 0.005)))
 
 
 @dataclass(frozen=True)
 class Spans:
-    """What fixes and sensors say of each span; arrays over spans.
+    """Motion by the fixes and means of the sensors of each span; arrays over spans.
 
     stamp: s, its middle by the clock of the fixes. time: s, the same by that of the IMU. speed: m/s along the nose,
     positive forwards. acceleration: m/s^2 along the nose. centripetal: m/s^2 to the right, speed times turn rate.
@@ -135,8 +143,8 @@ class Spans:
 def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag: float) -> Spans | None:
     """The spans of `fixes` in which there are samples. up: (3,) in sensor axes. lag: s, as `gnss.time_offset`.
 
-    The gyroscopes carry the course of the fixes over 20 s to both sides, so that speed is signed, a noisy fix hardly
-    turns it, and their bias comes out.
+    The course is a mean of those of the fixes within COURSE_WINDOW, each turned by the integrated angular rate between,
+    without its estimated bias. So a noisy fix hardly changes it, and speeds in reverse are negative.
     """
     covered = inertial.covers(fixes.times[:, 0] - lag - 0.5, fixes.times[:, 2] - lag + 0.5)
     if covered.sum() < 10:
@@ -192,7 +200,7 @@ def _local_sum(time, values, window):
 
 
 def _drift(time, course) -> float:
-    """Robust mean slope of the phase of `course`, rad/s, where it is well determined: the gyroscopes' bias left."""
+    """Robust mean slope of the phase of `course`, rad/s, where it is well determined: the remaining gyroscope bias."""
     apart = max(round(COURSE_WINDOW / max(np.median(np.diff(time)), 1e-3)), 1)
     if len(time) <= apart:
         return 0.0
@@ -203,7 +211,7 @@ def _drift(time, course) -> float:
 
 
 def _grades(time, speed, height, fixes: FixIntervals) -> np.ndarray:
-    """Grade of the road by heights over distance: a line through the fixes of some hundred metres, as noise demands."""
+    """Grade of the road: slope of a line through the heights of the fixes over _CLIMB, or more with noisy heights."""
     distance = np.concatenate([[0.0], np.cumsum(np.abs(0.5 * (speed[1:] + speed[:-1])) * np.minimum(
         np.diff(time), 5.0))])
     if distance[-1] < _CLIMB:

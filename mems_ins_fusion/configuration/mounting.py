@@ -1,10 +1,11 @@
-"""How an IMU sits in its vehicle, from a drive: no filter, no assumption on the axes.
+"""Orientation of the IMU in the vehicle, estimated from a drive without a filter and without assumptions on the axes.
 
-Over spans of seconds the specific force in sensor axes is a sum of vectors times what the fixes and the turn rate say
-of the motion: forward times the change of speed, right times speed times turn rate, up times gravity. Least squares
-finds the vectors, each with a sigma from leaving out one stretch of the drive after the other, so that what a road
-adds (grades, crown) counts as it is: the same for a hundred metres and more. The gyroscopes show the up axis once
-more, by the axis about which the vehicle turns; a bias of the accelerometers does not disturb that.
+Averaged over spans of seconds, the specific force in sensor axes is a sum of three vectors: forward times the
+acceleration, right times speed times turn rate, up times gravity; acceleration, speed and turn rate come from fixes and
+gyroscopes. Least squares estimates the vectors. Their standard deviations are those of a jackknife: the estimate is
+repeated without one stretch of the drive after the other, so that errors by the road (grades, crown), which are the
+same for a hundred metres and more, count as such. The gyroscopes also show the up axis: the vehicle turns about it.
+That estimate does not contain the accelerometers' biases.
 The equations: docs/configure.md.
 """
 from __future__ import annotations
@@ -29,31 +30,49 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import TIGHTEST_COURSE, find_standstill, robust_sigma
 from mems_ins_fusion.samples import Fixes, ImuSamples, runs
 
-BIAS_SIGMA = 0.2  # m/s^2: a consumer accelerometer's turn-on bias, which tilts gravity
-SLOPE_SIGMA = math.radians(1.5)  # of the place where a vehicle stands, and of the way where heights do not show it
-_SLOPE_LASTS = 100.0  # m of the way for which a slope is alike: a vehicle on one hillside sees one slope for minutes
-TURN_TILT_SIGMA = math.radians(1.5)  # by how much a road's tilt changes over a right-angled turn
-AXES_SIGMA = math.radians(0.3)  # to which the axes of a MEMS sensor are at right angles
-SHOWN = math.radians(20.0)  # a larger sigma of the yaw is none
-_ARM_SIGMA = 1.5  # m: how far the IMU is from the rear axle, before anything is known
-_ROUGH = 0.4  # s: steps of a first search for the time offset, less than a change of speed takes
-_HARDEST = 8.0  # m/s^2: spans with more are errors of the receiver
+#: m/s^2, standard deviation of a consumer accelerometer's turn-on bias, which looks like a tilt
+BIAS_SIGMA = 0.2
+#: rad, standard deviation of the slope where a vehicle stands, and of that of the road where heights do not show it
+SLOPE_SIGMA = math.radians(1.5)
+#: m of road over which the slope stays the same: on one hillside a vehicle sees one slope for minutes
+_SLOPE_LASTS = 100.0
+#: rad, standard deviation of the change of a road's tilt over a right-angled turn
+TURN_TILT_SIGMA = math.radians(1.5)
+#: rad, standard deviation of the angles between the axes of a MEMS sensor from 90 deg
+AXES_SIGMA = math.radians(0.3)
+#: rad: a yaw with a larger standard deviation is not known
+SHOWN = math.radians(20.0)
+#: m, standard deviation of the distance from the IMU to the rear axle, before anything is known
+_ARM_SIGMA = 1.5
+#: s, step of the first search for the time offset: shorter than a change of speed
+_ROUGH = 0.4
+#: m/s^2: a span with a larger acceleration is an error of the receiver
+_HARDEST = 8.0
 _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # turns right into forward
-_SLOWEST = 0.2  # m/s: what counts as driving: robots do 0.4
-_CLEAR = 2.0  # times `_Motion.slowest` that a vehicle drives at its fastest: else its speeds are mostly noise
-_FEWEST_SPANS = 15  # in which the vehicle drives
-_GRAVITY_ELSEWHERE = 0.1  # part of gravity that may be in what explains the motion
-_SMALLEST_GAIN = 0.6  # specific force per change of speed
+#: m/s, smallest speed that counts as driving: slow robots drive at 0.4
+_SLOWEST = 0.2
+#: the fastest speed has to be this multiple of `_Motion.slowest`: else the speeds are mostly noise
+_CLEAR = 2.0
+#: number of spans in motion below which nothing is estimated
+_FEWEST_SPANS = 15
+#: largest relative difference between the fitted gravity and the mean specific force: with a larger one, the spans are
+#: too few or too similar to separate motion from gravity
+_GRAVITY_ELSEWHERE = 0.1
+#: smallest ratio of specific force to acceleration: with a smaller one, noise of the fixes hides the acceleration, and
+#: longer spans are used. The same for gravity along the forward axis and the grade by heights
+_SMALLEST_GAIN = 0.6
+#: largest ratio of gravity along the forward axis to the grade by heights, for which the heights are those of the road
 _LARGEST_GAIN = 1.5
-_USABLE = 0.6  # rad: a way to the yaw with a larger sigma is none
-# the vectors that explain the specific force, and their prior in units of a span's noise, about 0.1 m/s^2
+#: rad: evidence for the yaw with a larger standard deviation is not used
+_USABLE = 0.6
+# rows of the vectors that explain the specific force; and their prior, in units of the noise of a span, about 0.1 m/s^2
 _FORWARD, _RIGHT, _GRADE, _UP, _TURN_CHANGE, _TURN_SQUARED = range(6)
 _PRIOR = np.array([1e4, 1e4, 10.0, 1e6, 10.0 * _ARM_SIGMA, 10.0 * _ARM_SIGMA])
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """One way in which an angle shows: how far it is from what was chosen in the end, and its sigma, rad."""
+    """One independent estimate of an angle: its difference from the final estimate, and its sigma, rad."""
 
     source: str
     angle: tuple[float, ...]
@@ -62,16 +81,16 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Mounting:
-    """The rotation from sensor axes to base_link (forward-left-up) and what it stands on.
+    """The rotation from sensor axes to base_link (forward-left-up), and the evidence for it.
 
     rotation: (3, 3). sigma: (3,) rad, of small rotations about forward, left and up; UNKNOWN_YAW_SIGMA where nothing
     shows it.
     level, heading: the evidence for the up axis (angles about forward and left) and for the yaw (about up).
-    offset: time offset and antenna; None where the drive shows nothing of them, or where the offset was given.
+    offset: time offset and lever arm of the antenna; None where the drive shows neither, or where the offset was given.
     imu: m, (value, sigma) of its distance ahead of the rear axle.
     bias: (3,) m/s^2, of the accelerometers in sensor axes, beyond what tilt explains, and bias_sigma.
-    gain: specific force per change of speed or speed times turn rate: one, and some suspension. driven: s in motion.
-    turned: rad, sum of the turns. spans: what the estimate was made of, or None.
+    gain: ratio of specific force to acceleration, forward and sideways: 1, more where the body pitches and rolls on its
+    springs. driven: s in motion. turned: rad, sum of the turns. spans: of which the estimate was made, or None.
     """
 
     rotation: np.ndarray
@@ -123,11 +142,11 @@ def deviation(rotation: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def estimate_mounting(imu: ImuSamples, fixes: Fixes | None = None, gravity: float = STANDARD_GRAVITY,
                       lag: float | None = None) -> Mounting | None:
-    """The mounting that `imu` (SI units) and `fixes` show; None where not even the up axis does.
+    """The mounting that `imu` (SI units) and `fixes` show; None where they do not even show the up axis.
 
-    gravity: m/s^2, there. lag: s, the time offset where it is known; None looks for it. The up axis comes from gravity
-    and from the turns; the yaw from changes of speed, turns and, where the heights are good, grades, each with the sign
-    of the direction of travel: most of the way is forwards.
+    gravity: m/s^2, at this place. lag: s, the time offset, None: it is estimated, too. The up axis comes from gravity
+    and from the axis of the turns; the yaw from acceleration, turns and, where the heights are good, grades. Forward is
+    the direction in which most of the drive goes.
     """
     intervals = fix_intervals(fixes) if fixes is not None else None
     inertial = InertialIntegrals(imu, intervals.origin if intervals else int(imu.stamp[0]))
@@ -160,13 +179,14 @@ def estimate_mounting(imu: ImuSamples, fixes: Fixes | None = None, gravity: floa
 
 
 def _with_offset(found: Mounting, later: Mounting, offset: Offset) -> Mounting:
-    """`found` with the sigma of the time offset in its own: by how much it turns where that is a sigma `later`."""
+    """`found` with larger sigmas for the error of the time offset. later: the mounting with an offset that is larger by
+    one sigma."""
     turned = deviation(later.rotation, found.rotation) if later.yaw_known and found.yaw_known else np.zeros(3)
     return replace(found, sigma=np.hypot(found.sigma, turned), offset=offset)
 
 
 def _first_up(inertial: InertialIntegrals, intervals: FixIntervals | None, gravity) -> np.ndarray | None:
-    """The up axis to some degrees: mean specific force; where gravity is missing, the axis of the turns."""
+    """The up axis to a few degrees: the mean specific force, or the axis of the turns where gravity is missing."""
     mean = inertial.velocity[-1] / (inertial.time[-1] - inertial.time[0])
     if np.linalg.norm(mean) > 0.5 * gravity:
         return mean / np.linalg.norm(mean)
@@ -185,8 +205,8 @@ def _misfit(inertial, intervals, up) -> float:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Spans in motion at one time offset, and the specific force explained by them. slowest: m/s, of what counts as
-    motion: noise of the fixes mostly stays below."""
+    """Spans in motion for one time offset, and the fit of the specific force to them. slowest: m/s, smallest speed that
+    counts as motion: most speeds by noise of the fixes are smaller."""
 
     spans: Spans
     slowest: float
@@ -196,11 +216,11 @@ class _Motion:
 
     @property
     def gain(self) -> float:
-        """Specific force per change of speed: about one, less where the receiver's noise hides the changes."""
+        """Ratio of specific force to acceleration: about 1, less where noise of the fixes adds to the acceleration."""
         return float(np.linalg.norm(self.fit.solution[_FORWARD]))
 
     def sigma(self, function, index: int | None = None) -> np.ndarray:
-        """Standard deviation of `function` of the fit's (6, 3) vectors. index: of the vector that decides."""
+        """Standard deviation of `function` of the fit's (6, 3) vectors. index: of the vector that matters most."""
         return jackknife(np.array([function(vectors) for vectors in self.fit.left_out]),
                          None if index is None else self.fit.shown(index))
 
@@ -229,7 +249,7 @@ def _explain(inertial, intervals, up, lag) -> _Motion | None:
 
 
 def _levelled(inertial, intervals, up):
-    """`up` without what net turning and speeding up add to the mean specific force."""
+    """`up` without the mean of the accelerations forward and sideways, which is part of the mean specific force."""
     for _ in range(2):
         motion = _explain(inertial, intervals, up, 0.0)
         vector = motion.fit.solution[_UP] if motion is not None else np.zeros(3)
@@ -246,7 +266,7 @@ def _rough_lag(inertial, intervals, up) -> float:
 
 
 def _cost(motion: _Motion | None) -> float:
-    """What is left unexplained of a span, with a bound for outliers."""
+    """Mean squared residual of a span, bounded for outliers."""
     if motion is None:
         return math.inf
     return float(motion.fit.weight @ (motion.fit.residual**2).sum(axis=1) / motion.fit.weight.sum())
@@ -258,7 +278,7 @@ def _rests(imu: ImuSamples, still: np.ndarray) -> np.ndarray:
 
 
 def _at_rest(rests, up, gravity) -> Mounting:
-    """What is left where nothing moves: the up axis of a standstill, or of the mean over the recording."""
+    """The mounting without motion: only the up axis, from the standstills or from the mean over the recording."""
     tilt, up_sigma = np.zeros(2), np.full(2, math.hypot(SLOPE_SIGMA, BIAS_SIGMA / gravity))
     if len(rests):
         up = rests.mean(axis=0) / np.linalg.norm(rests.mean(axis=0))
@@ -268,7 +288,7 @@ def _at_rest(rests, up, gravity) -> Mounting:
 
 
 def _assemble(motion: _Motion, rests, up, gravity) -> Mounting:
-    """All evidence together."""
+    """The mounting from all evidence."""
     axes = _axes(up, _default_heading(up)[0])
     for _ in range(3):  # angles are small about the axes found before
         heading, yaw, yaw_sigma = _heading(motion, axes)
@@ -325,14 +345,14 @@ def _heading(motion: _Motion, axes):
 
 
 def _bank_beside_grades(motion: _Motion) -> float:
-    """By how much a bank that goes with the grades by chance turns what they show of the yaw, rad, one sigma. Both last
-    for _SLOPE_LASTS, so that a short drive has few of them: the jackknife does not see that."""
+    """Standard deviation, rad, of the yaw from grades, by banks of the road that correlate with the grades by chance.
+    Both stay the same for _SLOPE_LASTS, so a short drive has few of them, which the jackknife does not see."""
     spread = np.nanstd(motion.spans.grade[motion.moving])
     return SLOPE_SIGMA / max(spread, 1e-6) / math.sqrt(_slopes(motion))
 
 
 def _slopes(motion: _Motion) -> float:
-    """How many slopes of _SLOPE_LASTS the way has, one at least."""
+    """Number of different slopes (of _SLOPE_LASTS each) on the drive, at least one."""
     speed, time = np.abs(motion.spans.speed[motion.moving]), motion.spans.time[motion.moving]
     way = float(speed[1:] @ np.minimum(np.diff(time), motion.spans.length))
     return max(way / _SLOPE_LASTS, 1.0)
@@ -363,14 +383,14 @@ def _level(motion: _Motion, rests, axes, gravity):
 
 
 def _confirmed(motion: _Motion, axes) -> float:
-    """Which part of the grades by the heights gravity along the nose confirms, 0 to 1: heights that wander under a slow
-    vehicle, or jump, have nothing to do with the road. With this part they are in the fit."""
+    """Factor on the grades in the fit, 0 to 1: how much of the grades by heights the specific force along the forward
+    axis confirms. Heights that wander under a slow vehicle, or jump, have nothing to do with the road."""
     return float(np.clip(axes[0] @ motion.fit.solution[_GRADE], 0.0, 1.0))
 
 
 def _unseen_slope(motion: _Motion, axes) -> float:
-    """By how much a mean slope of the way that heights do not show tilts gravity, rad, one sigma: of one that lasts as
-    long as the drive the jackknife sees nothing."""
+    """Standard deviation, rad, of the up axis by a mean slope of the drive that heights do not show. The jackknife does
+    not see a slope that is the same on the whole drive."""
     seen = np.isfinite(motion.spans.grade[motion.moving]).mean() * _confirmed(motion, axes)
     return (1.0 - float(seen)) * SLOPE_SIGMA / math.sqrt(_slopes(motion))
 
@@ -397,7 +417,7 @@ def _turned(motion: _Motion) -> float:
 
 
 def _bias(force, up, gravity) -> np.ndarray:
-    """(3,) m/s^2, what `force` holds beside gravity."""
+    """(3,) m/s^2, `force` minus gravity."""
     return force - gravity * up if np.linalg.norm(force) > 0.5 * gravity else np.asarray(force)
 
 

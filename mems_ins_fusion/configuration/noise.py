@@ -1,4 +1,4 @@
-"""White noise and biases of an IMU from what standstills there are."""
+"""White noise and biases of an IMU from the standstills of a recording."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -13,9 +13,12 @@ from mems_ins_fusion.samples import ImuSamples, runs
 _SHORTEST = 0.5
 #: s; longest averaging time: shorter than a drift of the bias
 _LONGEST = 16.0
-_EDGE = 1.0  # s, at both ends of a standstill, that may belong to the motion
-_FEWEST = 6  # differences of means that show noise
-_OF_MEDIANS = 0.37  # degrees of freedom of a variance by medians, as part of those of a mean square
+#: s, left out at both ends of a standstill, as the vehicle may still move there
+_EDGE = 1.0
+#: smallest number of differences of means for an estimate
+_FEWEST = 6
+#: degrees of freedom of a variance from the median of the squares, as a share of those of their mean
+_OF_MEDIANS = 0.37
 
 
 @dataclass(frozen=True)
@@ -34,11 +37,11 @@ class Noise:
 def find_noise(imu: ImuSamples, still: np.ndarray) -> Noise | None:
     """Noise of `imu` (SI units) in its standstills `still`, (n,) bool; None where there are too few samples.
 
-    What a filter integrates is the noise of means, over a second and more: the Allan deviation. An engine that runs,
-    and people who get in, rock the vehicle on its springs, which is a rotation and adds up to nothing: white noise is
-    what all averaging times show at least. Of these the one counts that gives the smallest upper bound. One chip has
-    alike sensors for its axes, and the rocking is not about all of them: densities are those of the quietest axis.
-    By medians, as a knock is no noise.
+    The filter integrates the samples, so what matters is the noise of means over a second and more: the Allan
+    deviation. A running engine, or people who get in, rock the vehicle on its springs, which makes the Allan deviation
+    of some averaging times larger, but not that of all. So of all averaging times the one with the smallest upper bound
+    of the density is taken. The sensors of the three axes of one chip are alike, and the rocking is not about all of
+    them, so the densities are those of the quietest axis. Medians are used because of single knocks.
     """
     interval = float(np.median(np.diff(imu.stamp))) * 1e-9 if len(imu) > 1 else 0.0
     if interval <= 0.0:

@@ -1,13 +1,14 @@
-"""The time offset between fixes and IMU, together with the place of the antenna: no constraint, no filter.
+"""Time offset between fixes and IMU, and lever arm of the antenna, estimated without a filter and without constraints.
 
-The gyroscopes carry the attitude through a piece of the drive, the accelerometers twice integrated its shape; where it
-began, with which velocity, attitude and biases, is unknown in each piece anew. What the fixes deviate from that shape
-is linear in these unknowns, and in those that all pieces share: the offset (along the velocity), the arm from IMU to
-antenna (turns with the vehicle), a receiver that smooths (along the acceleration, as its filter sees it) and a bias of
-the accelerometers.
-So each is estimated with all the others unknown: its sigma is the marginal one, and what a drive cannot tell apart is
-vague. Noise of the fixes, its part that lasts, and that of the sensors are chosen by their likelihood. Sigmas are the
-larger of that model's and the jackknife's over the pieces. Equations: docs/configure.md, "Time offset and antenna".
+The drive is divided into pieces. Within a piece the integrated angular rate gives the attitude, and the specific force,
+integrated twice, the shape of the path. Position, velocity, attitude and gyroscope biases at the begin of each piece
+are unknown. The differences between the fixes and that shape are linear in these unknowns and in those that all pieces
+have in common: the time offset (along the velocity), the lever arm of the antenna (turns with the vehicle), the
+smoothing of the receiver (along the acceleration, low-passed as by the receiver) and the accelerometers' biases.
+All are estimated together, so each sigma is a marginal one: it is large where a drive cannot tell two of them apart.
+White noise and lasting errors of the fixes, and noise of the sensors, are chosen by their likelihood. Each sigma is the
+larger one of this model's and that of the jackknife over the pieces.
+Equations: docs/configure.md, "Time offset and antenna".
 
 Source: T. Lupton, S. Sukkarieh, "Visual-inertial-aided navigation for high-dynamic motion in built environments without
 initial conditions", IEEE Trans. Robotics 28 (2012), for integrals that know nothing of where they begin.
@@ -28,60 +29,61 @@ from mems_ins_fusion.filter.runs.usable import usable_fixes
 from mems_ins_fusion.recordings.motion import find_standstill, positions
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
-#: s; offsets are looked for up to this on both sides
+#: s, largest offset of the search, positive or negative
 LARGEST = 2.0
-#: s; an offset with a larger sigma is not shown
+#: s: an offset with a larger standard deviation is not known
 SHOWN = 0.3
-#: s; a sigma is at least this: by as much filters in the sensors and interpolation between samples leave it open
+#: s, lower limit of the standard deviation: delays by filters in the sensors, interpolation between samples
 FLOOR = 0.01
-#: s; between the offsets of the search, and by which Gauss-Newton changes the offset at most
+#: s, step of the search, and largest change of the offset in one step of Gauss-Newton
 _STEP = 0.2
 #: steps of Gauss-Newton from the best of the search
 _STEPS = 5
-#: s; a piece of the drive is no shorter
+#: s, shortest piece of the drive
 _SHORTEST = 15.0
-#: s; and no longer: with consumer sensors longer ones gain little
+#: s, longest piece: longer ones hardly tell more, as errors of consumer sensors grow
 _LONGEST = 60.0
-#: pieces that a short drive is divided into: as few as a jackknife can take
+#: number of pieces of a short drive: fewer are not enough for a jackknife
 _PIECES = 8
-#: pieces that are used, at most: what more of them cost is time
+#: largest number of pieces: limits the computing time
 _MOST_PIECES = 60
-#: pieces that show an offset, at least
+#: smallest number of pieces for an estimate
 FEWEST_PIECES = 4
-#: fixes of a piece that are used, at most
+#: largest number of fixes of a piece: limits the computing time
 _MOST_FIXES = 60
-#: fixes of a piece, at least
+#: smallest number of fixes of a piece
 _FEWEST_FIXES = 8
-#: s; time constant of the part of the receiver's errors that lasts
+#: s, correlation time of the receiver's lasting errors
 _LASTING = 20.0
-#: s; offsets further than this from the best are other minima
+#: s: offsets that differ from the best by more are other minima
 _OTHER = 0.3
-#: s; time constants of receivers that smooth, from which the estimate starts
+#: s, time constants of the receiver's smoothing from which the estimate starts
 _SMOOTHING = (0.0, 0.5, 1.0, 2.0)
-#: s^2; largest smoothing, as `gnss.lag_per_acceleration`: receivers smooth over three seconds at most
+#: s^2, largest smoothing, as `gnss.lag_per_acceleration`: receivers smooth over at most three seconds
 _MOST_SMOOTHING = 9.0
-#: s^2; difference that gives the derivative by the smoothing
+#: s^2, step of the numerical derivative by the smoothing
 _SMOOTHING_STEP = 0.02
-#: s^2; by which a step of Gauss-Newton changes the smoothing at most
+#: s^2, largest change of the smoothing in one step of Gauss-Newton
 _LARGEST_CHANGE = 0.5
-#: robust standard deviations; fixes that are further off count less
+#: robust standard deviations beyond which a fix has less weight
 _FAR = 3.0
-#: standard deviations, before anything is known, of what all pieces share: offset (s), arm (m, three), smoothing (s^2),
-#: bias of the accelerometers (m/s^2, three)
+#: prior standard deviations of the unknowns that all pieces have in common: offset (s), lever arm (m, three), smoothing
+#: (s^2), biases of the accelerometers (m/s^2, three)
 _SHARED = np.array([3.0, 1.5, 1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
-#: share of the final information that a drive must have shown by itself: with less, _SHARED decides
+#: smallest share of the final information that has to come from the drive: with less, the result is mostly the prior
+#: (_SHARED)
 _LEAST_OWN = 0.1
-#: rad; standard deviation of roll and pitch of a piece, before anything is known
+#: rad, prior standard deviation of roll and pitch at the begin of a piece
 _TILT = 0.05
-#: rad; the same of its heading
+#: rad, the same of the heading
 _HEADING = 0.2
-#: rad/s; the same of the gyroscopes' biases, where a standstill shows them
+#: rad/s, the same of the gyroscopes' biases where they were measured at a standstill
 _RATE_AT_REST = 3e-4
-#: rad/s; and where there is none
+#: rad/s, the same without a standstill
 _RATE = 1e-2
-#: variances that are tried, in units of that of a fix's white noise: of the accelerometers' white noise (1/s^3), of
-#: that of the gyroscopes times gravity (1/s^5), of the part of the receiver's errors that lasts: metres, where a
-#: receiver that smooths leaves centimetres of white noise
+#: noise that is tried, as multiples of the variance of the fixes' white noise: of the accelerometers' white noise
+#: (1/s^3), of the gyroscopes' white noise times gravity (1/s^5), and of the receiver's lasting errors, which may be
+#: metres where the receiver smooths its white noise down to centimetres
 _NOISE = tuple((force, 0.1 * force, lasting) for lasting in (0.0, 1.0, 10.0, 100.0, 1000.0)
                for force in (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e2, 1e3))
 
@@ -90,7 +92,7 @@ _NOISE = tuple((force, 0.1 * force, lasting) for lasting in (0.0, 1.0, 10.0, 100
 class Offset:
     """lag, lag_sigma: s, as `gnss.time_offset`. arm, arm_sigma: (3,) m, from the IMU to the antenna, forward-left-up.
     smoothing, smoothing_sigma: s^2, as `gnss.lag_per_acceleration`. rivals: s, other offsets that fit nearly as well.
-    undecided: s, the part of lag_sigma that is there because a receiver that smooths more or less is as likely.
+    undecided: s, the part of lag_sigma that comes from other values of the smoothing that are about as likely.
     by_smoothing: for each of _SMOOTHING the lag that it leads to, s, and twice the negative log likelihood of it.
     """
 
@@ -109,8 +111,8 @@ class Offset:
         return self.lag_sigma < SHOWN
 
     def arm_alone(self) -> tuple[np.ndarray, np.ndarray]:
-        """The arm and its sigma, (3,) m each, by this drive alone, without what was assumed before, which draws `arm`
-        to zero: for whoever holds drives against each other. Infinite and zero where the drive shows hardly more."""
+        """The arm and its sigma, (3,) m each, by this drive alone, to compare drives: without the prior, which makes
+        `arm` smaller. Zero with an infinite sigma where the drive tells hardly more than the prior."""
         known = 1.0 / self.arm_sigma**2
         own = known - 1.0 / _SHARED[1:4]**2
         shown = own > _LEAST_OWN * known
@@ -122,14 +124,14 @@ class Offset:
 def estimate_offset(imu: ImuSamples, fixes: Fixes, rotation: np.ndarray) -> Offset | None:
     """The time offset and the antenna's arm that `imu` (SI units) and `fixes` show; None with too little motion.
 
-    rotation: (3, 3) from sensor axes to base_link, to about ten degrees. None, too, for numbers that no vehicle gives.
+    rotation: (3, 3) from sensor axes to base_link, to about ten degrees. None for absurd values, too.
     """
     return attempted(_estimated, lambda: _pieces(imu, fixes, rotation))
 
 
 def attempted(estimate: Callable, pieces_of: Callable):
-    """What `estimate` (an object with lag and lag_sigma) makes of the pieces of a drive; None where there are none, or
-    where numbers that no vehicle gives leave nothing finite."""
+    """`estimate` of the pieces of a drive, an object with lag and lag_sigma; None where there are no pieces, or where
+    absurd values lead to numbers that are not finite."""
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
         try:
             pieces = pieces_of()
@@ -147,7 +149,7 @@ def _estimated(pieces: _Pieces) -> Offset:
         lag = float(lags[np.argmin(costs)])
         noise = pieces.noise(lag)
     scale = max(costs.min() / pieces.freedom, 1e-12)
-    # a receiver that smooths much, in turns, is as one that is late: which it is, the likelihood says
+    # in turns, smoothing and a time offset look alike: the likelihood decides between them
     starts = [_stepped(pieces.smoothed(tau**2), lag, noise) for tau in _SMOOTHING]
     noises = [start.noise(at) for start, at, _ in starts]
     unlikely = np.array([start.unlikely(at, its) for (start, at, _), its in zip(starts, noises)])
@@ -171,15 +173,16 @@ def _estimated(pieces: _Pieces) -> Offset:
 
 
 def _undecided(by_smoothing: np.ndarray, lag: float) -> float:
-    """How far, s, the offsets of `Offset.by_smoothing` (k, 2) are from `lag`, root mean square by their likelihood."""
+    """Root mean square difference, s, of the offsets of `Offset.by_smoothing` (k, 2) from `lag`, weighted by their
+    likelihood."""
     lags, unlikely = by_smoothing.T
     weight = np.exp(-0.5 * (unlikely - unlikely.min()))
     return math.sqrt(weight @ (lags - lag) ** 2 / weight.sum())
 
 
 def _stepped(pieces: _Pieces, lag: float, noise, steps: int = _STEPS) -> tuple[_Pieces, float, _Solved]:
-    """Some steps of Gauss-Newton of offset and smoothing from `lag` and the smoothing of `pieces` on; where they lead,
-    and the last solution."""
+    """Steps of Gauss-Newton for offset and smoothing, from `lag` and the smoothing of `pieces` on. Returns pieces with
+    the new smoothing, the new offset, and the last solution."""
     for _ in range(steps):
         found = pieces.solved(lag, noise)
         lag += float(np.clip(found.solution[0], -_STEP, _STEP))
@@ -210,9 +213,9 @@ def _minima(costs):
 
 @dataclass(frozen=True)
 class _Solved:
-    """Least squares of all pieces. solution: of what is shared (offset first, as a change). cost: weighted squares.
-    each: (w, k, k) of the pieces, what is left of [values, shared] where their own unknowns are free. prior, known:
-    information on what is shared, and how far it is from what is expected already."""
+    """Least squares of all pieces. solution: the unknowns in common, first the change of the offset. cost: weighted sum
+    of squares. each: (w, k, k), normal equations of [values, unknowns in common] of each piece, with its own unknowns
+    eliminated. prior, known: information by the prior, and by how much the present values differ from its mean."""
 
     solution: np.ndarray
     cost: float
@@ -234,10 +237,11 @@ class _Pieces:
     """The pieces of a drive, `w` of up to `m` fixes.
 
     time: (w, m) s. place: (w, m, 2) m, north and west. used: (w, m) bool, which are fixes and not padding. weight:
-    (w, m). lasting: (3, w, m, m) covariances of what lasts, for a variance of 1. own: (10,) information on what each
-    piece has of its own: place, velocity, attitude, rate. smoothing: s^2, of the receiver; behind: (n, 3) m, by how
-    much its fixes are behind then, and by_smoothing the derivative, m/s^2. roots: by noise, as of `_whitening`: they
-    cost more than all else, and each noise is tried at several offsets and smoothings.
+    (w, m). lasting: (3, w, m, m) covariances of the integrated sensor noises and of lasting errors, for a variance of
+    1. own: (10,) prior information on the unknowns of each piece: position, velocity, attitude, rate. smoothing: s^2,
+    of the receiver; behind: (n, 3) m, by how much its fixes lag with this smoothing; by_smoothing: the derivative of
+    that, m/s^2. roots: results of `_whitening` by noise, kept as they take most of the time and each noise is tried
+    with several offsets and smoothings.
     """
 
     track: Track
@@ -259,14 +263,14 @@ class _Pieces:
         return max(int(2 * self.used.sum() - 4 * len(self.used)), 1)
 
     def weighted(self, found: _Solved) -> _Pieces:
-        """With less weight on fixes that are far off."""
+        """The same pieces with less weight on fixes with large residuals."""
         size = np.linalg.norm(found.residual, axis=-1)
         typical = np.median(size[self.used]) / 1.18  # of a two-dimensional normal distribution
         weight = self.used * np.minimum(1.0, _FAR * typical / np.maximum(size, 1e-9)) ** 2
         return replace(self, weight=weight, roots={})
 
     def smoothed(self, smoothing: float) -> _Pieces:
-        """As a receiver sees it that smooths by so much, s^2; less than nothing counts as nothing."""
+        """The same pieces for a receiver with this smoothing, s^2; negative counts as zero."""
         at = min(max(smoothing, 0.0), _MOST_SMOOTHING)
         around = max(at - _SMOOTHING_STEP, 0.0), at, at + _SMOOTHING_STEP
         low, middle, high = (one * self.track.smoothed(math.sqrt(one)) for one in around)
@@ -274,12 +278,12 @@ class _Pieces:
         return replace(self, smoothing=smoothing, by_smoothing=change, behind=middle + (smoothing - at) * change)
 
     def noise(self, lag: float) -> tuple[float, float, float]:
-        """The noise that is likeliest at that offset."""
+        """The most likely noise for that offset."""
         design = self._design(lag)
         return min(_NOISE, key=lambda noise: self._unlikely(design, noise))
 
     def unlikely(self, lag: float, noise) -> float:
-        """Minus twice the logarithm of the likelihood at that offset, up to a constant."""
+        """Minus twice the log likelihood of that offset, up to a constant."""
         return self._unlikely(self._design(lag), noise)
 
     def _unlikely(self, design, noise) -> float:
@@ -342,7 +346,8 @@ class _Pieces:
         return each, back, float(np.linalg.slogdet(normal)[1].sum())
 
     def _design(self, lag: float):
-        """What the fixes deviate from the shape, (w, m, 2), and its derivatives by what is shared and by the rest."""
+        """Differences between fixes and shape, (w, m, 2), and their derivatives by the unknowns in common and by those
+        of each piece."""
         track, times, weight = self.track, self.time - lag, self.used[..., None]
         rotation = track.at(track.rotation, times)
         level = self._attitude(rotation)
@@ -352,7 +357,7 @@ class _Pieces:
         inverse = np.linalg.pinv(line)
 
         def shape(values, horizontal=True):
-            """In the frame of the earth, without a line over time, which place and velocity stand for."""
+            """In the frame of the earth, without a straight line over time: the unknown position and velocity."""
             flat = values.reshape(*values.shape[:2], -1) * weight
             left = (flat - line @ (inverse @ flat)).reshape(values.shape)
             turned = np.einsum('wij,wmj...->wmi...', level, left)

@@ -1,4 +1,4 @@
-"""What a receiver's fixes are worth: their sigma against the stated one, and how late they arrive."""
+"""Quality of a receiver's fixes: their actual standard deviation beside the stated one, and their delay."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -11,9 +11,12 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import robust_sigma, scatter_at_rest, sigmas
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
-_ROUGHNESS = 0.06  # m/s^2 over the square root of six: misfit of specific force and motion on ordinary roads
-TOO_SURE = 2.0  # times its stated sigma: a receiver that is not believed
-_CLOCKS = 2.0  # s: more between stamp and arrival is no delay
+#: m/s^2 over the square root of six: residual of specific force and motion by the roughness of ordinary roads
+_ROUGHNESS = 0.06
+#: ratio of actual to stated standard deviation above which the stated one is not used
+TOO_SURE = 2.0
+#: s: a larger difference between stamp and arrival is one of clocks, not a delay
+_CLOCKS = 2.0
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class Receiver:
 
     @property
     def realised(self) -> float | None:
-        """The larger of what rest and motion show; None where neither does."""
+        """The larger of the scatters at rest and in motion; None where both are unknown."""
         seen = [sigma for sigma in (self.at_rest, self.in_motion) if sigma is not None]
         return max(seen) if seen else None
 

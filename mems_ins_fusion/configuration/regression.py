@@ -1,4 +1,4 @@
-"""Least squares that outliers do not spoil, with sigmas that hold where errors are alike for a long while."""
+"""Robust least squares, with standard deviations that are right for errors that last for a long time, too."""
 from __future__ import annotations
 
 import math
@@ -8,14 +8,23 @@ from functools import cached_property
 import numpy as np
 from scipy.special import stdtrit
 
-HUBER = 2.5  # in robust standard deviations: who is further off counts less
-_ITERATIONS = 8  # of reweighted least squares
-_LEAST_WEIGHT = 0.3  # of what describes the noise
-BLOCKS = 20  # stretches that a recording is divided into, for the jackknife
-_BLOCK = 10.0  # s, at least
-_FEWEST_BLOCKS = 4  # that say anything of their scatter
-_TWO_SIGMA = 0.97725  # probability up to two standard deviations of a normal distribution
-_LEAST_FREEDOM = 0.3  # degrees: sigmas are some hundred times as large then, which is as good as not known
+#: robust standard deviations beyond which a residual has less weight (Huber)
+HUBER = 2.5
+#: iterations of reweighted least squares
+_ITERATIONS = 8
+#: smallest weight of a row that is used for the noise
+_LEAST_WEIGHT = 0.3
+#: number of blocks into which a recording is divided for the jackknife
+BLOCKS = 20
+#: s, shortest block
+_BLOCK = 10.0
+#: smallest number of blocks for a standard deviation
+_FEWEST_BLOCKS = 4
+#: probability of a normal distribution below two standard deviations
+_TWO_SIGMA = 0.97725
+#: smallest number of degrees of freedom: standard deviations are some hundred times as large then, so the estimate
+#: counts as unknown
+_LEAST_FREEDOM = 0.3
 
 
 @dataclass(frozen=True)
@@ -45,12 +54,12 @@ class Fit:
         return np.array(solutions)
 
     def shown(self, index: int) -> np.ndarray:
-        """(b,) what each block shows of row `index` of the solution: the weighted squares of its column."""
+        """(b,) information of each block about row `index` of the solution: weighted sum of squares of its column."""
         return np.bincount(self.block, self.weight * self.design[:, index] ** 2)[np.unique(self.block)]
 
 
 def blocks(time: np.ndarray) -> np.ndarray:
-    """Number of the stretch of the recording that each of `time`, s, ascending, belongs to."""
+    """Number of the block of the recording to which each of `time`, s, ascending, belongs."""
     length = max((time[-1] - time[0]) / BLOCKS, _BLOCK)
     return np.minimum((time - time[0]) / length, BLOCKS - 1).astype(int)
 
@@ -58,8 +67,8 @@ def blocks(time: np.ndarray) -> np.ndarray:
 def fit(design: np.ndarray, values: np.ndarray, prior: np.ndarray, block: np.ndarray) -> Fit:
     """Robust least squares of (n, c) `values` on (n, k) `design`.
 
-    prior: (k,) standard deviations of the solution about zero, in units of a row's noise. block: (n,) numbers of
-    stretches whose errors are independent of each other.
+    prior: (k,) standard deviations of the solution about zero, in units of a row's noise. block: (n,) number of the
+    block of each row; errors in different blocks are independent.
     """
     weight, typical = np.ones(len(design)), math.sqrt(values.shape[1])
     for _ in range(_ITERATIONS):
@@ -88,10 +97,11 @@ def shares(count: int) -> np.ndarray:
 def jackknife(values: np.ndarray, shown: np.ndarray | None = None) -> np.ndarray:
     """Standard deviation of an estimate from its values (b, ...), each with one of b blocks left out.
 
-    Few blocks show their own scatter badly: two of these sigmas hold as much as two of a normal distribution by
-    Student's, with b - 1 degrees of freedom.
-    shown: (b,) what each block shows of the estimate. Where two of twenty show nearly all of it, as two changes of
-    speed in a drive, that they agree may be chance: then as few count (L. Kish, "Survey Sampling", 1965).
+    With few blocks their scatter is not well known: the result is scaled such that two standard deviations have the
+    probability of two of a normal distribution, by Student's distribution with b - 1 degrees of freedom.
+    shown: (b,) information of each block about the estimate. If most of it is in two of twenty blocks (two changes of
+    speed in a drive), their agreement may be chance; then b is the effective number of blocks (L. Kish, "Survey
+    Sampling", 1965).
     Source: Efron and Tibshirani, "An Introduction to the Bootstrap", section 11.2.
     """
     count = len(values)

@@ -1,7 +1,8 @@
-"""A further IMU against the first one: how it is turned, how late it is, and whether it is another one at all.
+"""Comparison of a further IMU with the first one: rotation, time offset, and whether it is a different sensor at all.
 
-Both show the same motion. The size of the angular rate has no axes, so it tells the clock; the rotation is then the one
-that fits rates and specific forces of both: turns tell the vertical, braking and curves the rest.
+Both measure the same motion. The magnitude of the angular rate does not depend on the axes, so it gives the time
+offset. The rotation is the one that fits angular rates and specific forces of both: turns determine the vertical axis,
+braking and curves the others.
 """
 from __future__ import annotations
 
@@ -16,28 +17,31 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import integral
 from mems_ins_fusion.samples import ImuSamples
 
-#: s, means over which are compared: of vibration little is left, of turns all
+#: s, length of the blocks whose means are compared: longer than vibration, shorter than turns
 BLOCK = 0.1
-#: s; by which the stamps of two IMUs may differ
+#: s, largest time offset between two IMUs
 LARGEST_LAG = 1.0
-#: s; between the lags of the search
+#: s, step of the search for the time offset
 STEP = 0.02
-#: correlation of the sizes of both rates: less are not of one body, or in no motion
+#: smallest correlation of the magnitudes of both angular rates: with less, the IMUs are not on the same vehicle, or it
+#: does not move
 LEAST_ALIKE = 0.8
-#: blocks: with fewer nothing is shown
+#: smallest number of blocks for a comparison
 FEWEST = 100
-#: share of the samples that both have to the last digit: then it is the same sensor twice
+#: share of the samples that are equal to the last digit, above which both are the same sensor
 COPIED = 0.5
-#: part of the noise that two IMUs have against each other where each has its own: with less they are one
+#: smallest noise of the difference of two IMUs, as a share of that of independent noise: with less, both are the same
+#: sensor
 IN_COMMON = 0.5
-#: rad: a rotation that is less sure would turn gravity into an acceleration that the check takes for a fault
+#: rad, largest standard deviation of the rotation that is used: with a larger one, gravity would show as a difference
+#: of the accelerations, which the comparison of IMUs takes for a fault
 LARGEST_SIGMA = math.radians(3.0)
 
 
 @dataclass(frozen=True)
 class Against:
-    """A further IMU against the first. rotation: (3, 3) from its axes to those of the first, with a sigma, rad. lag: s,
-    by which its stamps are late, with a sigma."""
+    """A further IMU compared with the first. rotation: (3, 3) from its axes to those of the first, with a sigma, rad.
+    lag: s, by which its stamps are late, with a sigma."""
 
     rotation: np.ndarray
     sigma: float
@@ -46,7 +50,7 @@ class Against:
 
 
 def compare_imus(first: ImuSamples, other: ImuSamples) -> Against | str:
-    """What `other` is against `first`, SI units both; why nothing is shown, in words, where it is not."""
+    """`other` compared with `first`, both in SI units; or in words why they cannot be compared."""
     first, other = usable_samples(first), usable_samples(other)
     if min(len(first), len(other)) < 2:
         return 'no samples that can be used'
@@ -99,7 +103,8 @@ def _edges(first: ImuSamples, other: ImuSamples) -> np.ndarray:
 
 
 def _lag(first: ImuSamples, other: ImuSamples) -> tuple[float, float, float]:
-    """By which the stamps of `other` are late, s; the correlation of the sizes of the rates there; and sigma, s."""
+    """Time by which the stamps of `other` are late, s; the correlation of the magnitudes of the angular rates with it;
+    its sigma, s."""
     edges = _edges(first, other)
     if len(edges) < FEWEST:
         return 0.0, 0.0, math.inf
@@ -132,7 +137,8 @@ def _blocks(first: ImuSamples, other: ImuSamples, lag: float):
 
 
 def _weighed(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both without their means, over what their sizes differ by: that is the same in any axes."""
+    """Both without their means, divided by the scatter of the difference of their magnitudes, which does not depend on
+    the axes."""
     one, other = one - one.mean(axis=0), other - other.mean(axis=0)
     noise = max(float(np.median(np.abs(np.linalg.norm(one, axis=1) - np.linalg.norm(other, axis=1)))), 1e-6)
     return one / noise, other / noise

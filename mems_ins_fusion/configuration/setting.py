@@ -7,14 +7,17 @@ import numpy as np
 
 from mems_ins_fusion.recordings.findings import SURE
 
-SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
-#: sigmas, the same of the clocks of inputs, of which a file has several: at two, one file in five would have a false
-#: one
+#: sigmas: a value that differs from zero by less is not set
+SIGNIFICANT = 2.0
+#: sigmas, the same for time offsets of inputs, of which a file has several: with two sigmas, one file in five would
+#: have a false one
 OF_SEVERAL = 3.0
-#: m, standard deviation of the place of an antenna forward and left of the IMU, of which nothing is known; chosen
+#: m, standard deviation of the lever arm of an antenna forward and left if nothing is known. Chosen, not measured
 ARM_UNKNOWN = 0.5
-ARM_SHOWN = 0.3  # m: a part of an arm with a larger sigma is not shown; a tape is better
-TF_ARM = 0.05  # m: what the transforms may be off by themselves, standard deviation
+#: m: a component of a lever arm with a larger standard deviation is not set: a tape measure is better
+ARM_SHOWN = 0.3
+#: m, standard deviation of a lever arm that the transforms (tf) state
+TF_ARM = 0.05
 
 
 @dataclass(frozen=True)
@@ -27,17 +30,17 @@ class Setting:
 
 
 def is_sure(value: float, sigma: float, sigmas: float = SIGNIFICANT) -> bool:
-    """Whether a value is better than zero for certain."""
+    """Whether a value differs from zero by at least that many sigmas."""
     return bool(abs(value) > sigmas * sigma)
 
 
 def at_zero(sigmas: float = SIGNIFICANT) -> str:
-    """What the evidence of a smaller value ends with."""
+    """Last line of the evidence for a value that is not set, as it is smaller."""
     return f': less than {sigmas:g} sigma, left at zero'
 
 
 def arm_apart(arm, sigma, told: np.ndarray) -> np.ndarray:
-    """(3,) whether the arm that the transforms say is another than `arm` with `sigma`, as the drive shows it."""
+    """(3,) whether the lever arm `told` by the transforms contradicts `arm` with `sigma`, estimated from the drive."""
     known = np.asarray(sigma) < ARM_SHOWN
     return known & (np.abs(np.where(known, arm, told) - told) > SURE * np.hypot(np.where(known, sigma, 0.0), TF_ARM))
 

@@ -25,49 +25,51 @@ from mems_ins_fusion.recordings.findings import SURE
 from mems_ins_fusion.recordings.motion import find_standstill, integral
 from mems_ins_fusion.samples import ImuSamples, Speeds, in_time_order
 
-#: s; an offset with a larger sigma is not shown
+#: s: an offset with a larger standard deviation is not known
 SHOWN = 0.1
-#: s; between the offsets of the search
+#: s, step of the search
 _STEP = 0.1
-#: steps of Gauss-Newton from the best of the search, and again as many with weights
+#: steps of Gauss-Newton from the best offset of the search, and again as many with weights
 _STEPS = 4
-#: s; length of a piece: longer ones gain little, as the accelerometers drift by then on a rough road
+#: s, length of a piece: longer ones hardly tell more, as errors of the accelerometers grow on a rough road
 _PIECE = 15.0
-#: pieces that are used, at most: what more of them cost is time
+#: largest number of pieces: limits the computing time
 _MOST_PIECES = 80
-#: Hz; of more frequent speeds some are left out
+#: Hz, largest rate of the speeds: of faster ones some are left out
 _DENSEST = 8.0
-#: speeds of a piece, at least
+#: smallest number of speeds of a piece
 _FEWEST = 30
-#: m/s; change of the speed within a piece, at least: a steady speed shows no offset
+#: m/s, smallest change of the speed within a piece: a constant speed does not show an offset
 _MOVED = 0.5
-#: s; difference that gives the derivative by the offset: a shorter one shows vibration
+#: s, step of the numerical derivative by the offset: with a shorter one it would be mostly vibration
 _APART = 0.1
-#: mean square of a piece over the usual one, beyond which it counts less: wheels slip there
+#: ratio of the mean square residual of a piece to that of the others, above which the piece has less weight, as wheels
+#: slip
 _SLIPPING = 3.0
-#: standard deviations, before anything is known, of what all pieces share: offset (s), measured over true speed, place
-#: of the axle across and along (m), yaw that the mounting lacks (rad)
+#: prior standard deviations of the unknowns that all pieces have in common: offset (s), scale of the speed, position of
+#: the axle across and along (m), error of the yaw of the mounting (rad)
 _SHARED = np.array([3.0, 0.3, 2.0, 3.0, 0.1])
-#: and what is expected of these
+#: and their prior means
 _EXPECTED = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
-#: the standard deviations of what is each piece's own: speed where it begins (m/s), bias along the nose (m/s^2),
-#: direction of gravity (m/s^2, three), bias of the gyroscope in pitch (rad/s)
+#: prior standard deviations of the unknowns of each piece: initial speed (m/s), bias of the forward accelerometer
+#: (m/s^2), gravity in sensor axes (m/s^2, three), bias of the pitch gyroscope (rad/s)
 _OWN = np.array([1e3, 0.2, 0.5, 0.5, 0.5, 3e-3])
-#: m^2/s^2; variance of a speed, before anything is known
+#: m^2/s^2, first value of the variance of a speed
 _NOISE = 0.05**2
-#: 1/s; variances that are tried of what the accelerometers add up to in a second, over that of a speed
+#: 1/s, noise of the accelerometers that is tried: variance of their integral over a second, over that of a speed
 _WALKS = (1e-2, 1e-1, 1.0, 10.0, 100.0)
 
 
-#: s; time constants of a low pass that are tried
+#: s, time constants of a low pass that are tried
 _LOW_PASSES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.55, 0.7, 0.9, 1.15, 1.5, 2.0)
-#: s; between those over which their likelihood is averaged
+#: s, step of the time constants over which the likelihood is averaged
 _FINE = 0.01
 
 
-#: s; a body on springs, which pitches when it speeds up, looks like such a low pass: RMS over simulated cars, and the
-#: largest
-SPRINGS, MOST_SPRINGS = 0.2, 0.3
+#: s: a body on springs, which pitches when it accelerates, looks like such a low pass. RMS over simulated cars
+SPRINGS = 0.2
+#: s, the largest of these
+MOST_SPRINGS = 0.3
 
 
 @dataclass(frozen=True)

@@ -19,14 +19,15 @@ from mems_ins_fusion.recordings.reading import FIX_TYPES, read_recording
 from mems_ins_fusion.recordings.transforms import places
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
-#: names that say: not a sensor's own measurement
+#: names of topics that are results or references, not measurements of a sensor
 _DERIVED = re.compile(r'reference|truth|fused|filter|ekf|odom|estimate|gt($|/)', re.IGNORECASE)
-#: what messages may be of besides samples and fixes, by their type
+#: measurements besides IMU samples and fixes that messages may hold, by their type
 _AIDING = {kind: tuple(one for one in TYPES.values() if kind in one.messages)
            for kind in dict.fromkeys(kind for one in TYPES.values() for kind in one.messages) if kind not in FIX_TYPES}
 #: those that are no samples of an IMU, whose orientation is no heading of its own
 _OTHERS = [kind for kind in _AIDING if kind != IMU]
-_LEAST_USABLE = 0.5  # part of the messages and axes: with less it is no IMU
+#: smallest share of usable messages and axes of an IMU
+_LEAST_USABLE = 0.5
 
 
 @dataclass(frozen=True)

@@ -16,16 +16,20 @@ from mems_ins_fusion.configuration.regression import BLOCKS, jackknife, shares
 from mems_ins_fusion.recordings.motion import integral
 from mems_ins_fusion.samples import Headings, ImuSamples, Twists, in_time_order
 
-_STEP = 0.02  # s, of the grid
-_SMOOTHED = 0.2  # s: both are averaged over as long, which a vehicle's turns pass and vibration does not
-_FEWEST = 200  # samples
-_LEAST = 0.02  # rad/s, standard deviation of a turn rate that tells something
+#: s, step of the grid of offsets
+_STEP = 0.02
+#: s over which both turn rates are averaged: longer than vibration, shorter than turns of a vehicle
+_SMOOTHED = 0.2
+#: smallest number of samples for an estimate
+_FEWEST = 200
+#: rad/s, smallest standard deviation of the turn rate for an estimate
+_LEAST = 0.02
 
 
 @dataclass(frozen=True)
 class TurnOffset:
-    """lag, lag_sigma: s, by which the stamps are late. correlation: with the gyroscopes, negative where it counts the
-    other way."""
+    """lag, lag_sigma: s, by which the stamps are late. correlation: with the gyroscopes, negative if its sign is wrong.
+    """
 
     lag: float
     lag_sigma: float
@@ -33,7 +37,7 @@ class TurnOffset:
 
 
 def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray) -> TurnOffset | None:
-    """What `imu` (SI units) and the turn rate of `twists` show; None with too little of either.
+    """Estimate from `imu` (SI units) and the turn rate of `twists`; None with too few of either.
 
     rotation: (3, 3) from sensor axes to base_link.
     """
@@ -79,7 +83,7 @@ def _sums(rate, turn, blocks):
 
 
 def _best(lags, sums) -> tuple[float, float]:
-    """The offset at which the two go together best, and how well: their correlation."""
+    """The offset with the largest correlation, and that correlation."""
     n, rate, turn, rates, both, turns = sums.T
     with np.errstate(invalid='ignore', divide='ignore'):
         size = np.nan_to_num((both - rate * turn / n) / np.sqrt((rates - rate**2 / n) * (turns - turn**2 / n)))

@@ -10,31 +10,36 @@ from mems_ins_fusion.parameters.table import defaults
 from mems_ins_fusion.recordings.motion import find_standstill, positions, robust_sigma
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
-#: share of the seconds in motion that are slow and as quiet as rest, from which on standstills cannot be told from
-#: motion: of cars and phones 0 to 7 % are, of simulated rovers on smooth ground 52 to 80 %
+#: smallest share of the seconds in motion that are slow and as quiet as at rest, with which standstills cannot be told
+#: from motion: for cars and phones it is 0 to 7 %, for simulated rovers on smooth ground 52 to 80 %
 LARGEST_ALIKE = 0.2
-#: m/s; in faster motion the filter refuses a standstill by the velocity that it has
+#: m/s: at a higher speed the filter refuses a standstill by its own velocity
 _SLOW = 2.0
-#: s; between the two positions that tell the speed: fixes of 1.5 m to 0.5 m/s
+#: s between the two positions that give the speed: to 0.5 m/s for fixes of 1.5 m
 _SPEED_OVER = 4.0
-#: m/s; robust standard deviation across the nose of a vehicle with wheels, at most: the arm of the antenna included
+#: m/s, largest robust standard deviation of the sideways velocity of a vehicle with wheels, lever arm of the antenna
+#: included
 _SIDEWAYS = 0.5
-#: m; an arm with a larger sigma is not known
+#: m: a lever arm with a larger standard deviation is not known
 _ARM_KNOWN = 1.0
-#: s; over which the scatter of samples is taken, as the filter judges rest
+#: s, length of the blocks whose scatter is compared, as in the filter's check for a standstill
 _BLOCK = 1.0
-#: blocks at rest and in motion, from which on their scatter is known: chosen, not measured
-_FEWEST_AT_REST, _FEWEST_IN_MOTION = 3, 10
+#: smallest number of blocks at rest for a scatter. Chosen, not measured
+_FEWEST_AT_REST = 3
+#: the same in motion. Chosen, not measured
+_FEWEST_IN_MOTION = 10
 
 
 @dataclass(frozen=True)
 class Vehicle:
-    """sideways: m/s, robust standard deviation of the velocity across the nose, noise of the fixes included, or None.
-    noise: m/s, of it by the receiver alone. wheels: whether that is how a vehicle with wheels moves, None unknown.
-    rest_force, rest_rate: what axes scatter by at rest (95 % of the seconds stay below), m/s^2 and rad/s, or None.
-    drive_force, drive_rate: what they scatter by in motion (95 % of the seconds stay above). alike: share of the
-    seconds in motion that are slow and stay below rest_force and rest_rate, both; where the drive has no standstill,
-    below the defaults of vehicle.still_acceleration and vehicle.still_rate."""
+    """Motion and vibration of a vehicle.
+
+    sideways: m/s, robust standard deviation of the sideways velocity with the noise of the fixes, or None. noise: m/s,
+    the part of it by the fixes. wheels: whether a vehicle with wheels moves like this, None: unknown. rest_force,
+    rest_rate: m/s^2 and rad/s, 95th percentile of the scatter of an axis in a second at rest, or None. drive_force,
+    drive_rate: 5th percentile of the same in motion. alike: share of the seconds in motion that are slow and below both
+    rest_force and rest_rate; without a standstill, below the defaults of vehicle.still_acceleration and
+    vehicle.still_rate."""
 
     sideways: float | None
     noise: float

@@ -1,8 +1,8 @@
 """The time offset between a receiver's velocities and its fixes: no IMU, no filter.
 
-The way between two fixes is the integral of the velocity over as long, stamped later by the offset: on a grid of
-offsets the squares of what all ways differ by, and of these the one about which they are symmetric. Ways over which the
-velocity does not change differ alike at each offset, and so tell nothing.
+The displacement between two fixes is the integral of the velocity over the same time, shifted by the offset. On a grid
+of offsets, the squared differences of all displacements are summed; the estimate is the offset about which this sum is
+symmetric. Where the velocity is constant the difference does not depend on the offset.
 """
 from __future__ import annotations
 
@@ -16,10 +16,14 @@ from mems_ins_fusion.configuration.regression import BLOCKS, jackknife, shares
 from mems_ins_fusion.recordings.motion import integral, positions
 from mems_ins_fusion.samples import Fixes, Velocities, in_time_order
 
-_STEP = 0.05  # s, of the grid
-_WAY = 2.0  # s: of a way, in which a car changes its velocity by as much as it does, and fixes of metres still tell
-_FEWEST = 40  # ways
-_FAR = 3.0  # times the median: a way that differs by more counts as that, as a fix that is far off
+#: s, step of the grid of offsets
+_STEP = 0.05
+#: s, length of a displacement: the velocity of a car changes in it, and it is larger than errors of metres of the fixes
+_WAY = 2.0
+#: smallest number of displacements for an estimate
+_FEWEST = 40
+#: multiple of the median difference, to which larger differences are limited: outliers of the fixes
+_FAR = 3.0
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,7 @@ class VelocityOffset:
 
 
 def estimate_velocity_offset(velocities: Velocities, fixes: Fixes) -> VelocityOffset | None:
-    """What usable `fixes`, in the order of their stamps, and `velocities` show; None with too little of either."""
+    """Estimate from usable `fixes`, in the order of their stamps, and `velocities`; None with too few of either."""
     good = in_time_order(velocities.stamp, np.isfinite(velocities.velocity[:, :2]).all(axis=1))
     if len(good) < _FEWEST or len(fixes) < _FEWEST:
         return None

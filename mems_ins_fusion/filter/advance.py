@@ -1,7 +1,7 @@
 """Advance one filter by one IMU sample or by one measurement: the two steps of `kernel.run`.
 
-A late measurement is applied at its own time: the filter returns to the last state before it, which is still in the
-ring of states, and repeats the samples and measurements that followed.
+A late measurement is applied at its own time: the filter returns to the last state before it, or to an earlier one
+where that is no longer kept, and repeats the samples and measurements that followed.
 """
 from __future__ import annotations
 
@@ -27,10 +27,14 @@ from .memory import (
     channel_of,
     element_at,
     event_at,
+    kept_state,
     nonnegative,
+    oldest_state,
     row_of,
     sample_at,
     state_at,
+    state_before,
+    time_of,
 )
 from .prediction import allow_for_restart, predict
 from .trust import imu_faults
@@ -141,6 +145,7 @@ def take_sample(memory, samples, i):
     contradicted = imu_faults.is_contradicted(memory, before, time)
     fault = imu_faults.check(memory, samples, i, dt, speed, contradicted, before_fault)
     memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
+    memory[sample + Sample.RATE_SCATTER] = memory[Imu.SPREAD + 1]
     if fault == Fault.NONE:
         _condition(memory, sample, Imu.RAW)
     elif fault != Fault.CONTRADICTED and memory[before + Nav.BRIDGED] < LONGEST_HELD:
@@ -205,22 +210,31 @@ def coast(memory, sample, r):
 
 
 @njit(_nrt=False)
+def return_to(memory, k):
+    """Have state k in the memory again, of which the samples are still there; the caller repeats what followed it."""
+    for j in range(kept_state(memory, k) + 1, k + 1):
+        advance(memory, j)
+
+
+@njit(_nrt=False)
+def can_return_to(memory, k):
+    """Whether all measurements that are needed to return to state k are in the memory."""
+    return time_of(memory, kept_state(memory, k)) >= memory[Head.FORGOTTEN]
+
+
+@njit(_nrt=False)
 def take_event(memory, events, i):
     """Put measurement i of `events` (rows as in `Event`) into the memory and, where it is late, repeat what followed.
 
     Returns TAKEN, or the reason why it is not used: BEFORE_START, TOO_LATE, FORGOTTEN.
     """
-    capacity, newest = int(memory[Head.CAPACITY]), int(memory[Head.SAMPLES])
-    oldest = max(0, newest - capacity + 1)
-    time, now = events[i, Event.TIME], memory[state_at(memory, newest) + Nav.TIME]
-    if time <= memory[state_at(memory, oldest) + Nav.TIME]:
+    newest, oldest, time = int(memory[Head.SAMPLES]), oldest_state(memory), events[i, Event.TIME]
+    if time <= time_of(memory, oldest):
         return BEFORE_START if oldest == 0 else TOO_LATE
-    if now - time > memory[Head.MAX_DELAY]:
+    if time_of(memory, newest) - time > memory[Head.MAX_DELAY]:
         return TOO_LATE
-    k = newest  # to become the last state before the measurement
-    while memory[state_at(memory, k) + Nav.TIME] >= time:
-        k -= 1
-    if memory[state_at(memory, k) + Nav.TIME] < memory[Head.FORGOTTEN]:
+    k = state_before(memory, time)
+    if not can_return_to(memory, k):
         return FORGOTTEN
     count = int(memory[Head.EVENTS])
     if count == int(memory[Head.EVENT_CAPACITY]):  # full: drop the older half
@@ -237,7 +251,7 @@ def take_event(memory, events, i):
     for c in range(Event.SIZE):
         memory[at + c] = events[i, c]
     memory[Head.EVENTS] = count + 1
-    for j in range(k + 1, newest + 1):  # late: return to the state before it and repeat what followed
+    for j in range(kept_state(memory, k) + 1, newest + 1):  # late: repeat what followed
         advance(memory, j)
     if memory[Wrong.SINCE] != 0.0:
         _withdraw(memory, newest)
@@ -252,18 +266,15 @@ def _withdraw(memory, newest):
     Nothing is done where that state is no longer in the memory, nor for a smoother, whose history cannot go back.
     """
     since, memory[Wrong.SINCE] = memory[Wrong.SINCE], 0.0
-    k, oldest = newest, max(0, newest - int(memory[Head.CAPACITY]) + 1)
-    while k > oldest and memory[state_at(memory, k) + Nav.TIME] >= since:
-        k -= 1
-    time = memory[state_at(memory, k) + Nav.TIME]
-    if time >= since or time < memory[Head.FORGOTTEN] or memory[Head.HISTORY_AT] > 0.0:
+    k = state_before(memory, since)
+    if time_of(memory, k) >= since or not can_return_to(memory, k) or memory[Head.HISTORY_AT] > 0.0:
         return
     for i in range(int(memory[Head.EVENTS])):
         at = event_at(memory, i)
         verdict = memory[at + Event.VERDICT]
         if memory[at + Event.KIND] == Kind.POSITION and memory[at + Event.TIME] >= since and verdict != 0.0:
             memory[at + Event.WITHDRAWN] = 1.0
-    for j in range(k + 1, newest + 1):
+    for j in range(kept_state(memory, k) + 1, newest + 1):
         advance(memory, j)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from .advance import advance
+from .advance import advance, can_return_to, return_to
 from .measurements.geometry import body_to_level
 from .memory import (
     HEAD,
@@ -26,8 +26,12 @@ from .memory import (
     Sample,
     element_at,
     event_at,
+    kept_state,
+    oldest_state,
     sample_at,
     state_at,
+    state_before,
+    time_of,
     velocity_state,
     yaw_state,
 )
@@ -170,23 +174,24 @@ def _start_from_fixes(memory, other, r, interval):
     starts anew from the latest of them. interval: s between the latest fix and the one before."""
     begun = memory[r + Nav.REFUSED_SINCE]
     if memory[Bank.OPEN] == 0.0 or hypotheses.score(other, r) < hypotheses.score(memory, r):
-        oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
-        if _refuse_since(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
+        if _refuse_since(memory, other, max(begun, time_of(memory, oldest_state(memory) + 1)), interval) == -math.inf:
             return
     _swap(memory, other)
     begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTING_SHARE) * memory[Head.RECOVERY_TIME])
     memory[Bank.OPEN], memory[Bank.WRONG_SINCE], memory[Bank.SEARCHED] = 1.0, begun, 1.0
     memory[r + Hypothesis.AGAINST_START] = 1.0
     memory[Bank.SCATTER] = excess_scatter(memory, r)
-    _start_anew(other, _before(other, other[r + Nav.FIX_TIME]), 1.0)
+    k = state_before(other, other[r + Nav.FIX_TIME])
+    return_to(other, k)
+    _start_anew(other, k, 1.0)
     behind = hypotheses.restart_penalty(memory, memory[r + Nav.FIX_TIME] - begun)
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
 
 
 @njit(_nrt=False)
 def _start_anew(other, k, due):
-    """Let `other` start anew from the first fix after state number k, and repeat what followed; due: what
-    `Hypothesis.START_DUE` says."""
+    """Let `other` start anew from the first fix after state k, to which it has returned, and repeat what followed; due:
+    what `Hypothesis.START_DUE` says."""
     start, newest = state_at(other, k), int(other[Head.SAMPLES])
     other[start + Hypothesis.START_DUE] = due
     other[Head.FORGOTTEN] = max(other[Head.FORGOTTEN], other[start + Nav.TIME])  # a late fix must not undo the start
@@ -208,14 +213,15 @@ def _start_without_imu(memory, other, r):
             or hypotheses.score(refusing, r) + nats < hypotheses.score(using, r)
             or imu_faults.is_contradicted(using, r, time)):
         return
-    k = _before(refusing, time)
-    before = refusing[state_at(refusing, k) + Nav.TIME]
-    if before >= time or before < refusing[Head.FORGOTTEN]:
+    k = state_before(refusing, time)
+    before = time_of(refusing, k)
+    if before >= time or not can_return_to(refusing, k):
         return
     if swapped:
         _swap(memory, other)
     again, latest = other[r + Nav.DIVERGENCES], other[r + Nav.DIVERGENCE_TIME]
-    _copy(memory, other, _before(memory, before - memory[Head.MAX_DELAY]))
+    _copy(memory, other, state_before(memory, before - memory[Head.MAX_DELAY]))
+    return_to(other, k)
     start = state_at(other, k)
     for i in range(Hypothesis.IMU_OFFSET, Hypothesis.IMU_VARIANCE + 3):  # with what the latest fix has told
         other[start + i] = memory[r + i]
@@ -274,12 +280,14 @@ def _search_begin(memory, other, r, interval):
 
 @njit(_nrt=False)
 def _copy(memory, other, first):
-    """Copy `memory` to `other`, without the states before number `first`, to which `other` will not return."""
+    """Copy `memory` to `other`, without what is needed only for states before number `first`, to which `other` will not
+    return."""
     for i in range(int(memory[Head.ROWS_AT])):
         other[i] = memory[i]
+    first = kept_state(memory, first)
     for k in range(first, int(memory[Head.SAMPLES]) + 1):
         row, sample = state_at(memory, k), sample_at(memory, k)
-        for i in range(row, row + int(memory[Head.WIDTH])):
+        for i in range(row, row + int(memory[Head.WIDTH]) if kept_state(memory, k) == k else row):
             other[i] = memory[i]
         for i in range(sample, sample + Sample.SIZE):
             other[i] = memory[i]
@@ -287,28 +295,19 @@ def _copy(memory, other, first):
         other[i] = memory[i]
     for i in range(int(memory[Head.SCRATCH_AT]), int(memory[Bank.SIZE])):
         other[i] = memory[i]
-    other[Head.FORGOTTEN] = max(memory[Head.FORGOTTEN], memory[state_at(memory, first) + Nav.TIME])
-
-
-@njit(_nrt=False)
-def _before(memory, time):
-    """Number of the last state before `time`, s, or of the oldest state in the memory."""
-    k = int(memory[Head.SAMPLES])
-    oldest = max(0, k - int(memory[Head.CAPACITY]) + 1)
-    while k > oldest and memory[state_at(memory, k) + Nav.TIME] >= time:
-        k -= 1
-    return k
+    other[Head.FORGOTTEN] = max(memory[Head.FORGOTTEN], time_of(memory, first))
 
 
 @njit(_nrt=False)
 def _refuse_since(memory, other, since, interval):
     """Make `other` the filter that `memory` would be, had it used no fix since `since`, s. Returns its score, or -inf
     where the state of that time is no longer in the memory."""
-    newest, k = int(memory[Head.SAMPLES]), _before(memory, since)
-    time = memory[state_at(memory, k) + Nav.TIME]
-    if time >= since or time < memory[Head.FORGOTTEN]:
+    newest, k = int(memory[Head.SAMPLES]), state_before(memory, since)
+    time = time_of(memory, k)
+    if time >= since or not can_return_to(memory, k):
         return -math.inf
-    _copy(memory, other, _before(memory, time - memory[Head.MAX_DELAY]))
+    _copy(memory, other, state_before(memory, time - memory[Head.MAX_DELAY]))
+    return_to(other, k)
     hypotheses.begin_refusing(other, state_at(memory, k), interval)
     for j in range(k + 1, newest + 1):
         advance(other, j)

@@ -28,6 +28,7 @@ from .memory import (
     Kind,
     Sample,
     StateLayout,
+    count_states,
     noise_size,
     row_width,
     scratch_size,
@@ -284,8 +285,9 @@ class FilterConfig:
 
     @property
     def capacity(self) -> int:
-        """Number of states and IMU samples kept for late measurements: a power of two."""
-        return 2 ** math.ceil(math.log2(self.latest * FASTEST_IMU + 16))
+        """Number of IMU samples kept: a power of two, and twice those that a late measurement makes the filter repeat,
+        as it returns to an earlier state (`memory.kept_state`)."""
+        return 2 * 2 ** math.ceil(math.log2(self.latest * FASTEST_IMU + 16))
 
     @property
     def event_capacity(self) -> int:
@@ -301,7 +303,7 @@ class FilterConfig:
         """The kernel's memory with these settings, before the first state. history: with room for smoothing."""
         layout, width = self.layout, row_width(self.layout)
         rows = Head.SIZE + noise_size(layout)
-        ring = rows + (self.capacity + 2) * width  # two rows more, for states between samples
+        ring = rows + count_states(self.capacity) * width
         events = ring + self.capacity * Sample.SIZE
         scratch = events + self.event_capacity * Event.SIZE
         wheels = scratch + scratch_size(layout.n)

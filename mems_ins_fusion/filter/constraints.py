@@ -23,7 +23,6 @@ from .memory import (
 from .prediction import set_radii
 from .trust import contradiction, gyroscopes, hypotheses, new_start
 from .trust.force_noise import force_noise
-from .trust.imu_faults import Imu
 from .trust.standstill import Standing, is_contradicted, wheels_turn
 from .trust.white_noise import Shown, hides_turns
 from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_update, product, project, update
@@ -130,7 +129,7 @@ def _turns(mem, r, sample, n, rate, sigmas):
     """Whether the sample shows an angular rate above `rate`, rad/s, and `sigmas` standard deviations (added as
     squares). P is in the scratch."""
     w_x, w_y, w_z = angular_rate(mem, r, sample)
-    p, variance = int(mem[Head.SCRATCH_AT]), mem[Imu.SPREAD + 1]
+    p, variance = int(mem[Head.SCRATCH_AT]), mem[sample + Sample.RATE_SCATTER]
     for axis in range(3, 6):
         state = channel_of(mem, axis)
         if state >= 0:

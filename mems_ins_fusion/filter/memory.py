@@ -93,6 +93,7 @@ Nav = _Nav()
 NAV = Nav.SIZE
 #: columns of a state that other files declare; a return to an earlier state restores them with the state
 ROW = Part('a state', Nav.MECHANISMS, Nav.SIZE)
+#: numbers of the mechanizations: planar (north, east, heading), and in three dimensions
 PLANAR, STRAPDOWN = 0, 1
 MECHANIZATIONS = {PLANAR: planar, STRAPDOWN: strapdown}
 BY_NAME = {'planar': PLANAR, 'strapdown': STRAPDOWN}  # as the parameter `mechanization` has it
@@ -303,9 +304,9 @@ class _Head(NamedTuple):
     ORDER: int = column()  # states per sensor channel, p
     CHANNELS: int = column()
     WIDTH: int = column()  # floats in a row
-    CAPACITY: int = column()  # rows in the ring
+    CAPACITY: int = column()  # IMU samples in their ring, a power of two
     EVENT_CAPACITY: int = column()
-    SAMPLES: int = column()  # IMU samples so far: the newest state is in row SAMPLES modulo CAPACITY
+    SAMPLES: int = column()  # IMU samples so far, which is the number of the newest state
     EVENTS: int = column()  # number of measurements in the memory
     ROWS_AT: int = column()  # first position of the states,
     RING_AT: int = column()  # first position of the IMU samples,
@@ -374,6 +375,7 @@ class _Sample(NamedTuple):
     S: int = column(3)  # and its variances
     COASTED: int = column()  # 1: replaced by a sample of straight motion at constant speed
     INTERVAL: int = column()  # s since the previous sample
+    RATE_SCATTER: int = column()  # (rad/s)^2, running variance of the angular rates up to it
     MECHANISMS: int = column(10)  # room for the columns that other files declare (`SAMPLE`)
     SIZE: int = column(0)
 
@@ -481,6 +483,10 @@ class _Verdict(NamedTuple):
 Verdict = _Verdict()
 
 
+#: number of newest states that are kept, a power of two: those of the default of gnss.max_delay at 100 Hz, and more. Of
+#: earlier states each NEWEST-th is kept, from which the samples up to another one are repeated. So many states (0.5 MB)
+#: stay in the processor's second-level cache: with all of them kept a sample takes 1.3 times as long on a busy machine
+NEWEST = 128
 #: first position of the noise parameters, which follow the head: white noise densities squared of the six axes
 WHITE = Head.SIZE
 _STATES = WHITE + 6  # then the noise parameters of the augmented states, at the positions that the functions below give
@@ -540,10 +546,19 @@ def views(memory: np.ndarray):
             memory[ring:events].reshape(-1, Sample.SIZE), memory[events:scratch].reshape(-1, Event.SIZE))
 
 
+def count_states(capacity: int) -> int:
+    """Rows for states where the memory has `capacity` IMU samples: those of `state_at`, and two more for states between
+    samples."""
+    return capacity // NEWEST + NEWEST - 1 + 2
+
+
 @njit(_nrt=False)
 def state_at(memory, k):
-    """Position of the state after sample k."""
-    return int(memory[Head.ROWS_AT]) + (k & (int(memory[Head.CAPACITY]) - 1)) * int(memory[Head.WIDTH])
+    """Position of the state after sample k: of one of the NEWEST last ones, or of one of the earlier ones whose number
+    is a multiple of NEWEST."""
+    number, earlier = k & (NEWEST - 1), int(memory[Head.CAPACITY]) // NEWEST
+    row = earlier - 1 + number if number else (k // NEWEST) & (earlier - 1)
+    return int(memory[Head.ROWS_AT]) + row * int(memory[Head.WIDTH])
 
 
 @njit(_nrt=False)
@@ -556,3 +571,31 @@ def sample_at(memory, k):
 def event_at(memory, i):
     """Position of measurement i of those in the memory, in the order of time."""
     return int(memory[Head.EVENTS_AT]) + i * Event.SIZE
+
+
+@njit(_nrt=False)
+def time_of(memory, k):
+    """Time of state k, s since the filter's epoch: that of its sample."""
+    return memory[sample_at(memory, k) + Sample.TIME]
+
+
+@njit(_nrt=False)
+def oldest_state(memory):
+    """Number of the oldest state that the filter can return to: it repeats no more than half of the samples."""
+    return max(0, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) // 2 + 1)
+
+
+@njit(_nrt=False)
+def state_before(memory, time):
+    """Number of the last state before `time`, s, or of the oldest that the filter can return to."""
+    k, oldest = int(memory[Head.SAMPLES]), oldest_state(memory)
+    while k > oldest and time_of(memory, k) >= time:
+        k -= 1
+    return k
+
+
+@njit(_nrt=False)
+def kept_state(memory, k):
+    """Number of the last state in the memory that is not later than state k: to return to k, the filter repeats the
+    samples between them."""
+    return k if int(memory[Head.SAMPLES]) - k < NEWEST else k - k % NEWEST

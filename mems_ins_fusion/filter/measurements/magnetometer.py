@@ -106,7 +106,8 @@ def heading(mem, r, at, c):
 
 #: T, lower limit of the standard deviation of a field: surrounding iron disturbs it everywhere
 SMALLEST_SIGMA = 1e-6
-WEAKEST, STRONGEST = 5e-6, 5e-4  # T: range of a field. That of the earth has 22 to 67 uT; the rest allows for hard iron
+WEAKEST = 5e-6  # T, smallest field. That of the earth has 22 to 67 uT; hard iron may be against it
+STRONGEST = 5e-4  # T, largest field: that of the earth and hard iron
 STRENGTH_SIGMA = 0.4  # prior standard deviation of the horizontal field at a place, as a share of it: 15 to 40 uT
 SOFT_WALK = 0.1 / 60.0  # 1/sqrt(s), random walk of strength and soft iron: 0.1 within an hour
 SIMULATED_FIELD = 20e-6, 44e-6  # T, horizontal and vertical field in simulations: central Europe

@@ -21,14 +21,17 @@ from .time_offset import add_time_offset
 #: m, standard deviation of a pseudorange: multiplied by the dilution of precision where a message states no other
 #: error. Chosen, not measured
 RANGE_SIGMA = 3.0
-#: 95 % error over standard deviation, of a horizontal distance (two dimensions) and of a height (one)
-HORIZONTAL_95, VERTICAL_95 = 2.4477, 1.96
+#: 95 % error over standard deviation of each of two components, of a horizontal distance
+HORIZONTAL_95 = 2.4477
+#: 95 % error over standard deviation of a height
+VERTICAL_95 = 1.96
 #: `NavSatStatus.status` of each `GPSStatus.status`. RTK fixed: 2; differential corrections or RTK float, whose errors
 #: are larger: 1; no corrections: 0; no fix: -1
 STATUS_OF = {-1: -1, 0: 0, 1: 1, 33: 1, 18: 1, 20: 1, 2: 2, 19: 2}
 FEWEST_SATELLITES = 3  # a message with fewer satellites (but not zero: not counted) has no position
 SMALLEST_SIGMA = 0.001  # m, lower limit of the standard deviation of a fix, whatever the message states
-LOWEST, HIGHEST = -1000.0, 10000.0  # m above the ellipsoid: limits for a land vehicle
+LOWEST = -1000.0  # m above the ellipsoid, smallest height of a land vehicle
+HIGHEST = 10000.0  # m above the ellipsoid, and its largest
 
 
 @njit(_nrt=False)

@@ -63,8 +63,8 @@ def observe(mem, r, at, h):
 SEA_LEVEL = 101325.0  # Pa, of the standard atmosphere at sea level
 SCALE_HEIGHT = 288.15 / 0.0065  # m: temperature at sea level (K) over lapse rate (K/m)
 EXPONENT = 8.31432 * 0.0065 / (9.80665 * 0.0289644)  # gas constant times lapse rate over gravity and molar mass
-#: Pa: range on land; the highest road is at 5900 m, the lowest mine 500 m below the sea
-LOWEST, HIGHEST = 40000.0, 115000.0
+LOWEST = 40000.0  # Pa, smallest pressure on land: the highest road is at 5900 m
+HIGHEST = 115000.0  # Pa, largest pressure: the lowest mine is 500 m below the sea
 SMALLEST_SIGMA = 0.1  # Pa, lower limit of the standard deviation of a pressure, whatever the message states
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 from mems_ins_fusion.compiled import njit
 
 from ..memory import WHITE, Error, Event, Head, Nav, Sample, channel_of, row_of
-from ..trust.imu_faults import Imu
 from .geometry import add
 
 
@@ -30,14 +29,14 @@ def observe_rate(mem, at, h, n, sample):
         if state >= 0:
             mem[at + Event.Z_N + count] = mem[sample + Sample.W_X + axis]
             mem[h + n * count + state] = 1.0
-            mem[at + (Event.R_NN, Event.R_EE, Event.R_DD)[count]] = _variance(mem, axis, mem[sample + Sample.INTERVAL])
+            mem[at + (Event.R_NN, Event.R_EE, Event.R_DD)[count]] = _variance(mem, axis, sample)
             count += 1
     mem[at + Event.R_NE] = 0.0
     return count
 
 
 @njit(_nrt=False)
-def _variance(mem, axis, dt):
+def _variance(mem, axis, sample):
     """Variance of one gyroscope sample: white noise, or the scatter of the samples where the engine's vibration makes
     it larger."""
-    return max(mem[WHITE + 3 + axis] / dt, mem[Imu.SPREAD + 1])
+    return max(mem[WHITE + 3 + axis] / mem[sample + Sample.INTERVAL], mem[sample + Sample.RATE_SCATTER])

@@ -37,10 +37,14 @@ AS_SURE = 1.5
 #: with a good alignment is within 1.5 by then; one that has taken a reversing vehicle for one that drives off forwards
 #: has a ratio of a hundred
 LOST = 3.0
-#: m, m/s, rad, standard deviations of position, speed and heading with which a new filter begins at the state of the
-#: present one. They cover lever arms of metres, a time offset of 0.3 s, and the errors that these cause in the present
-#: filter. An alignment of its own could take a reversing vehicle for one that drives off, and be wrong for minutes
-BEGIN_POSITION, BEGIN_SPEED, BEGIN_HEADING = 5.0, 1.0, math.radians(10.0)
+#: m, standard deviation of the position with which a new filter begins at the state of the present one. This and the
+#: next two cover lever arms of metres, a time offset of 0.3 s, and the errors that these cause in the present filter.
+#: An alignment of its own could take a reversing vehicle for one that drives off, and be wrong for minutes
+BEGIN_POSITION = 5.0
+#: m/s, the same of the speed
+BEGIN_SPEED = 1.0
+#: rad, the same of the heading
+BEGIN_HEADING = math.radians(10.0)
 PERIOD = 10**9  # ns from one comparison to the next
 #: wealth (betting.py) of the filter without a finding at which the finding is dropped. A useful finding is dropped at
 #: most once in this many comparisons, which are a day

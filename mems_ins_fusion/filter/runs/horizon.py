@@ -24,6 +24,7 @@ from ..measurements.geometry import body_to_level
 from ..measurements.wheel_vibration import Wheels
 from ..memory import (
     NAV,
+    NEWEST,
     Event,
     Head,
     Kind,
@@ -81,7 +82,7 @@ class HorizonPredictor:
         self._events = self._ring + Sample.SIZE
         scratch = self._events + Event.SIZE
         self._copy = np.zeros(scratch + scratch_size(config.layout.n))
-        self._head = {Head.CAPACITY: 1, Head.EVENT_CAPACITY: 1, Head.EVENTS: 0, Head.RING_AT: self._ring,
+        self._head = {Head.CAPACITY: NEWEST, Head.EVENT_CAPACITY: 1, Head.EVENTS: 0, Head.RING_AT: self._ring,
                       Head.EVENTS_AT: self._events, Head.SCRATCH_AT: scratch, Head.HISTORY_AT: 0, Wheels.AT: 0,
                       Head.MAX_GAP: math.inf}
 

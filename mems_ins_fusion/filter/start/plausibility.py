@@ -13,8 +13,10 @@ from .course import FASTEST_REVERSE
 
 LARGEST_TILT = math.radians(40.0)  # rad, largest tilt of an IMU whose mounting is as configured, on any road
 FASTEST_TURN = 3.0  # rad/s, largest mean turn rate of a vehicle over a second
-#: m/s^2, range of the mean specific force over a second: gravity with biases and braking
-LEAST_GRAVITY, MOST_GRAVITY = 6.0, 14.0
+#: m/s^2, smallest mean specific force over a second: gravity with biases
+LEAST_GRAVITY = 6.0
+#: m/s^2, the largest: the same, and braking
+MOST_GRAVITY = 14.0
 MOST_G = 2.0  # a mean specific force from 1 / MOST_G to MOST_G is reported as one in g
 #: rad from straight forward or backward: no vehicle with wheels drives off in other directions
 SIDEWAYS = math.radians(45.0)
