@@ -5,8 +5,9 @@ straight motion at the present speed, or accelerating to `horizon.speed` where t
 constraint, and the wheel speed where there is one, are applied with zero innovations, so that only the covariance
 changes. Standstills are not applied, as it is unknown whether there will be one. The horizon ends where the horizontal
 error exceeds `horizon.limit` with a probability above 5 %, by the published covariance, whose part P counts with the
-factor that copies of the filter without fixes have shown (withheld.py). While another filter takes over
-(blending.py), the difference that is added to the published position counts as an error.
+factor that copies of the filter without fixes have shown (withheld.py), and the receiver's slow errors with the
+estimate of their variance. While another filter takes over (blending.py), the difference that is added to the published
+position counts as an error.
 """
 from __future__ import annotations
 
@@ -40,7 +41,8 @@ from ..memory import (
 )
 from ..prediction import predict
 from ..trust.inputs import SPEED_CORRELATION
-from ..trust.scale import scale, seen_of
+from ..trust.receiver import Receiver
+from ..trust.scale import Scale, scale, seen_of
 from ..update import begin_update, end_update, update
 from .odometry import added_covariance
 
@@ -99,11 +101,19 @@ class HorizonPredictor:
         copy[:self._rows] = memory[:self._rows]
         for row in (0, 2):
             copy[self._rows + row * width:][:width] = memory[state:state + width]
+            copy[self._rows + row * width + Nav.LASTING] *= _mean_over_used(memory, state + Receiver.LASTING_SCALE)
         copy[self._ring:self._events] = memory[sample:sample + Sample.SIZE]
         copy[self._events:][:Event.SIZE], interval = _wheel_speed(memory, memory[state + Nav.TIME])
         for column, value in self._head.items():
             copy[column] = value
         return Horizon(*_predict(copy, self._limit, self._speed, interval, exceeded, *added, realised))
+
+
+def _mean_over_used(memory: np.ndarray, at: int) -> float:
+    """Estimate of the scale at `at` over what is used of it. Below 1 that is the estimate and one sigma: no error with
+    a small sigma. The horizon is to be right in 95 % of the outages, neither less nor more."""
+    level = memory[at + Scale.LOG]
+    return math.exp(level) / scale(memory, at) if level < 0.0 else 1.0
 
 
 def _wheel_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
