@@ -418,7 +418,7 @@ def test_no_chunk_waits_for_an_analysis(drive, monkeypatch):
     # answered
     monkeypatch.setattr(worker.os, 'nice', lambda by: None)
     monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
-    monkeypatch.setattr(online, 'shown_directly', blind)
+    monkeypatch.setattr(online, 'looked', blind)
     monkeypatch.setattr(online, 'FIRST', 2 * CHUNK)
     source, sink, behind = io.BytesIO(), io.BytesIO(), []
 
@@ -449,7 +449,7 @@ def test_the_process_ends_with_its_input_in_an_analysis(drive, monkeypatch):
     # given the process of the diagnosis, whose input ends while it does an analysis that nothing else ends
     monkeypatch.setattr(worker.os, 'nice', lambda by: None)
     monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
-    monkeypatch.setattr(online, 'shown_directly', blind)
+    monkeypatch.setattr(online, 'looked', blind)
     monkeypatch.setattr(online, 'FIRST', CHUNK)
     over = threading.Event()
 
@@ -478,7 +478,7 @@ def test_no_answer_waits_for_the_advice(drive, monkeypatch):
     monkeypatch.setattr(worker.os, 'nice', lambda by: None)
     monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
     looks = iter([[], [finding()], [], []])
-    monkeypatch.setattr(online, 'shown_directly', lambda recording, values: next(looks))
+    monkeypatch.setattr(online, 'looked', lambda recording, values: next(looks))
     monkeypatch.setattr(online, 'found', lambda part, values, progress: [])
     source, sink, there = io.BytesIO(), io.BytesIO(), []
 
