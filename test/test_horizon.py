@@ -16,7 +16,7 @@ from scipy.stats import norm
 from std_srvs.srv import SetBool
 
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.memory import Event, Kind, Nav, set_covariance
+from mems_ins_fusion.filter.memory import Event, Kind, Nav, newest_row, set_covariance
 from mems_ins_fusion.filter.runs.horizon import LONGEST, STEP, HorizonPredictor, exceedance_probability
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.odometry import published_covariance
@@ -83,7 +83,7 @@ def test_what_is_realised_and_slow_errors_of_the_receiver_count():
     # given an error of the velocity alone, on a straight way
     config = configure({**NO_NOISE, 'horizon.speed': 0.0})
     memory = started(config, p=diagonal(config, v_n=0.5, v_e=0.5), velocity=(13.0, 0.0, 0.0))
-    predict, row = HorizonPredictor(config).predict, newest(memory)
+    predict, row = HorizonPredictor(config).predict, newest_row(memory)
     expected = 5.0 / (ROUND * 0.5)
     # then a realised variance of four times the expected one halves the time, a quarter doubles it
     for realised, times in ((1.0, 1.0), (4.0, 0.5), (0.25, 2.0)):
