@@ -347,6 +347,7 @@ class Online:
 
     def _take_back(self, name: str) -> None:
         """Have the trial of this name no longer in the parameters that drive."""
+        self._as_given, self._advice = {}, {}  # of the vehicle as it was, too
         trial = self.applied.pop(name)
         trial.applied, trial.proven, trial.harmful, trial.kept = False, False, True, None
         self.trials[name] = trial  # another value on trial is what was left beside this one
