@@ -99,16 +99,16 @@ class Noted(HorizonPredictor):
 
     notes: list = []
 
-    def predict(self, memory, exceeded=0.05):
+    def predict(self, memory, exceeded=0.05, **realised):
         limit = self._limit
-        half = super().predict(memory, 0.5).seconds
+        half = super().predict(memory, 0.5, **realised).seconds
         row = []
         for narrower in NARROWER:
             self._limit = limit * narrower
-            row.append(super().predict(memory).seconds)
+            row.append(super().predict(memory, **realised).seconds)
         self._limit = limit
         self.notes.append((half, *row))
-        return super().predict(memory)
+        return super().predict(memory, **realised)
 
 
 class Terms(HorizonPredictor):
@@ -121,13 +121,13 @@ class Terms(HorizonPredictor):
         super().__init__(config)
         self._layout = config.layout
 
-    def predict(self, memory, exceeded=0.05):
+    def predict(self, memory, exceeded=0.05, **realised):
         names, row = self._layout.names, []
         for begins in KNOWN.values():
             known = np.array([name.startswith(begins) for name in names])
-            row.append(super().predict(self._knowing(memory, known)).seconds)
-        row.append(super().predict(self._without_noise(memory)).seconds)
-        found = super().predict(memory)
+            row.append(super().predict(self._knowing(memory, known), **realised).seconds)
+        row.append(super().predict(self._without_noise(memory), **realised).seconds)
+        found = super().predict(memory, **realised)
         self.notes.append((found.seconds, *row))
         return found
 

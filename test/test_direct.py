@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mems_ins_fusion.configuration.check import SMALL_OFFSET
 from mems_ins_fusion.diagnosis import direct
-from mems_ins_fusion.diagnosis.direct import shown_directly
+from mems_ins_fusion.diagnosis.direct import looked, shown_directly
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.held_out import HeldOut
@@ -89,3 +90,30 @@ def test_of_several_looks_the_longest_that_agrees_counts(recording, monkeypatch)
     seen[240] = (0.12, 0.01)
     found, = shown_directly(recording, DEFAULTS)
     assert found.parameters['a'].value == 0.30
+
+
+def test_what_is_as_given_is_told_with_what_may_be_left(recording):
+    # given the right offset and no arm, after four minutes, and after twenty seconds that show nothing yet
+    seen = {one.name: one for one in looked(until(recording, 240), DEFAULTS)}
+    young = {one.name: one for one in looked(until(recording, 20), DEFAULTS)}
+    # then nothing is off, and the offset is so well known that what may be left of it does not matter
+    assert seen.keys() == young.keys() == {'gnss_time_offset', 'gnss_lever_arm', 'mounting_rotation'}
+    assert not any(one.added or one.changes for one in seen.values())
+    offset = seen['gnss_time_offset']
+    assert offset.settled and abs(offset.parameters['time_offset'].value) + 2.0 * offset.parameters[
+        'time_offset'].sigma <= SMALL_OFFSET
+    assert not young['gnss_time_offset'].settled and young['gnss_time_offset'].parameters == {}
+    # and what has become wrong is not among it
+    later = {one.name: one.added for one in looked(until(recording, 360), DEFAULTS)}
+    assert later['gnss_time_offset'] and not later['gnss_lever_arm']
+
+
+def test_what_has_settled_stays_so_until_another_value_is_seen():
+    def seen(value, sigma, settled):
+        return Finding('x', ['x'], {'a': Estimate(value, sigma, 's')}, 0.0, 0.0, False, HeldOut(0.0, 1.0, []),
+                       settled=settled)
+    nothing = replace(seen(0.0, 0.1, False), parameters={})
+    settled, vague, other = seen(0.0, 0.01, True), seen(0.02, 0.06, False), seen(0.3, 0.06, False)
+    assert settled.says_more_than(vague) and settled.says_more_than(nothing) and vague.says_more_than(nothing)
+    assert not vague.says_more_than(settled) and not nothing.says_more_than(vague)
+    assert other.says_more_than(settled)

@@ -16,11 +16,13 @@ from scipy.stats import norm
 from std_srvs.srv import SetBool
 
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.memory import Event, Kind, set_covariance
+from mems_ins_fusion.filter.memory import Event, Kind, Nav, newest_row, set_covariance
 from mems_ins_fusion.filter.runs.horizon import LONGEST, STEP, HorizonPredictor, exceedance_probability
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.odometry import published_covariance
 from mems_ins_fusion.filter.runs.replay import run_with_outages
+from mems_ins_fusion.filter.trust.receiver import Receiver
+from mems_ins_fusion.filter.trust.scale import PRIOR, Scale
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -75,6 +77,26 @@ def test_a_vehicle_that_goes_straight_on(mechanization):
     assert horizon.metres == pytest.approx(13.0 * horizon.seconds, rel=1e-3)
     # and with a limit below what is wrong now there is none
     assert HorizonPredictor(configure({**config.parameters, 'horizon.limit': 1.2})).predict(memory) == (0.0, 0.0)
+
+
+def test_what_is_realised_and_slow_errors_of_the_receiver_count():
+    # given an error of the velocity alone, on a straight way
+    config = configure({**NO_NOISE, 'horizon.speed': 0.0})
+    memory = started(config, p=diagonal(config, v_n=0.5, v_e=0.5), velocity=(13.0, 0.0, 0.0))
+    predict, row = HorizonPredictor(config).predict, newest_row(memory)
+    expected = 5.0 / (ROUND * 0.5)
+    # then a realised variance of four times the expected one halves the time, a quarter doubles it
+    for realised, times in ((1.0, 1.0), (4.0, 0.5), (0.25, 2.0)):
+        assert predict(memory, realised=realised).seconds == pytest.approx(times * expected, abs=2 * STEP)
+    # and of slow errors, of which 3 m^2 are published, a third and one sigma of its scale, the third is used
+    row[Nav.LASTING] = 3.0
+    row[Receiver.LASTING_SCALE + Scale.LOG] = -math.log(3.0)
+    row[Receiver.LASTING_SCALE + Scale.REDUCED] = PRIOR - math.log(3.0)**2
+    slow = math.sqrt((5.0 / ROUND)**2 - 1.0) / 0.5
+    assert predict(memory).seconds == pytest.approx(slow, abs=2 * STEP)
+    # whatever is realised of the rest
+    assert predict(memory, realised=0.25).seconds == pytest.approx(2.0 * slow, abs=2 * STEP)
+    assert row[Nav.LASTING] == 3.0
 
 
 def test_a_vehicle_that_stands_drives_off():

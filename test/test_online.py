@@ -24,7 +24,7 @@ from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.gathering import CHUNK, Gathering, chunks
 from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.diagnosis.online import FALSE_ALARMS, Analysis, Online
-from mems_ins_fusion.diagnosis.quantity import ALL, COARSE, FINE, NOTHING, SUSPECT
+from mems_ins_fusion.diagnosis.quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT
 from mems_ins_fusion.diagnosis.trial import Trial
 from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
 from mems_ins_fusion.filter.runs import betting
@@ -418,7 +418,7 @@ def test_no_chunk_waits_for_an_analysis(drive, monkeypatch):
     # answered
     monkeypatch.setattr(worker.os, 'nice', lambda by: None)
     monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
-    monkeypatch.setattr(online, 'shown_directly', blind)
+    monkeypatch.setattr(online, 'looked', blind)
     monkeypatch.setattr(online, 'FIRST', 2 * CHUNK)
     source, sink, behind = io.BytesIO(), io.BytesIO(), []
 
@@ -449,7 +449,7 @@ def test_the_process_ends_with_its_input_in_an_analysis(drive, monkeypatch):
     # given the process of the diagnosis, whose input ends while it does an analysis that nothing else ends
     monkeypatch.setattr(worker.os, 'nice', lambda by: None)
     monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
-    monkeypatch.setattr(online, 'shown_directly', blind)
+    monkeypatch.setattr(online, 'looked', blind)
     monkeypatch.setattr(online, 'FIRST', CHUNK)
     over = threading.Event()
 
@@ -478,7 +478,7 @@ def test_no_answer_waits_for_the_advice(drive, monkeypatch):
     monkeypatch.setattr(worker.os, 'nice', lambda by: None)
     monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
     looks = iter([[], [finding()], [], []])
-    monkeypatch.setattr(online, 'shown_directly', lambda recording, values: next(looks))
+    monkeypatch.setattr(online, 'looked', lambda recording, values: next(looks))
     monkeypatch.setattr(online, 'found', lambda part, values, progress: [])
     source, sink, there = io.BytesIO(), io.BytesIO(), []
 
@@ -562,6 +562,36 @@ def test_a_look_is_taken_after_each_chunk_at_first_and_each_minute_later(drive):
     for chunk in chunks(drive):
         work.take(chunk)
     assert looks == [30, 60, 90, 120, 150, 180, 210, 240, 300, 360, 420, 480, 540, 600, 660]
+
+
+def test_what_is_as_given_is_told_and_how_it_would_show(drive, monkeypatch):
+    # given looks that show a time offset to a tenth of a second, of an arm nothing, and in the last one the offset well
+    def seen(name, sigma=None, settled=False):
+        known = {'time_offset': Estimate(0.01, sigma, 's')} if sigma else {}
+        return Finding(name, [name], known, 0.0, 0.0, False, HeldOut(0.0, 1.0, []), settled=settled)
+    shown = iter([[seen('gnss_time_offset', 0.1), seen('gnss_lever_arm')]] * 3
+                 + [[seen('gnss_time_offset', 0.01, True), seen('gnss_lever_arm')]])
+    asked = []
+    monkeypatch.setattr(online, 'LATEST', 50.0)
+    monkeypatch.setattr(online, 'LOOKED', CHUNK)
+    monkeypatch.setattr(online, 'advised', lambda one, recording, values: asked.append(one) or Advice(
+        'a left turn', next(iter(one.parameters)), 'm', 0.1, 0.01))
+    work = Online(table.check({}), blind, lambda recording, values: next(shown))
+    said = [{q.name: q for q in work.take(chunk)} for chunk in list(chunks(drive))[:4]]
+    # then each is told, with what may be left of it, and none has a line to set or is to look at
+    states = [(one['gnss_time_offset'].state, one['gnss_lever_arm'].state) for one in said]
+    assert states == [(COARSE, INITIALISING)] * 3 + [(FINE, INITIALISING)]
+    assert said[0]['gnss_time_offset'].parameters['time_offset'].sigma == 0.1
+    assert not any(q.is_to_look_at or q.sets or q.applied for one in said for q in one.values())
+    # and what would show more, of one after the other, as they become ready; what nothing shows has its usual size
+    assert [one.name for one in asked] == ['gnss_time_offset', 'gnss_lever_arm']
+    assert asked[1].parameters['x'].sigma > 0.3
+    assert said[3]['gnss_lever_arm'].advice and not said[3]['gnss_time_offset'].advice
+    # and a finding on trial takes the place of what is told of its effect, a reset that of all
+    work.trials = {'gnss_lever_arm': trial()}
+    assert [q.name for q in work.quantities()] == ['gnss_lever_arm', 'gnss_time_offset']
+    work.reset()
+    assert work.quantities() == []
 
 
 def test_filters_on_trial_begin_with_what_shows_the_finding(drive, monkeypatch):

@@ -6,6 +6,8 @@ changed shows before it is most of what is kept.
 """
 from __future__ import annotations
 
+import math
+
 from ..configuration.check import SMALL_ARM, SMALL_OFFSET, SMALL_TILT, SMALL_YAW, SURE, VAGUE_ARM, clocks_left
 from ..configuration.mounting import estimate_mounting
 from ..configuration.offset import FLOOR
@@ -23,10 +25,18 @@ LOOKED_AT = (60.0, 120.0, 240.0)
 
 def shown_directly(recording: Recording, values: dict) -> list[Finding]:
     """What is left for certain of the checked parameters `values` in the latest samples of `recording`."""
+    return [finding for finding in looked(recording, values) if finding.added]
+
+
+def looked(recording: Recording, values: dict) -> list[Finding]:
+    """As `shown_directly`, with what is as given as far as the latest samples show: not `added`, with what may be left
+    of each parameter that they show (`settled`: so little that it does not matter)."""
     found: dict[str, Finding] = {}
     for length in LOOKED_AT:
         for name, finding in _shown(cut(recording, length), values).items():
-            if name not in found or _agree(found[name], finding):
+            before = found.get(name)
+            if before is None or (_agree(before, finding) if before.added and finding.added else
+                                  finding.added or not before.added and finding.says_more_than(before)):
                 found[name] = finding  # of more samples
         if seconds(recording) <= length:
             break
@@ -38,20 +48,34 @@ def _shown(part: Recording, values: dict) -> dict[str, Finding]:
         return {}
     mounting = estimate_mounting(part.imu, part.gnss)
     left = {one.name: one for one in remaining_of(mounting, values)}
-    arm = {axis: left[name] for axis, name in zip('xyz', ARM) if left[name].sigma < VAGUE_ARM}
+    arm = {axis: left[name] for axis, name in zip('xyz', ARM)}
     small = dict(zip(ANGLES, (SMALL_TILT, SMALL_TILT, SMALL_YAW)))
-    angles = {name: left[name] for name in ANGLES if left[name].sigma < small[name]}
     clocks = {'gnss': left[TIME_OFFSET], **clocks_left(part, part.imu, mounting, values)}
-    effects = {f'{name}_time_offset': {'time_offset': clock} for name, clock in clocks.items()
-               if clock.certain(SMALL_OFFSET, SURE)}
-    if any(one.certain(SMALL_ARM, SURE) for one in arm.values()):
-        effects['gnss_lever_arm'] = arm
+    effects = {f'{name}_time_offset': ({'time_offset': clock}, {'time_offset': SMALL_OFFSET})
+               for name, clock in clocks.items()}
+    effects['gnss_lever_arm'] = arm, dict.fromkeys('xy', SMALL_ARM)  # heights of fixes are too vague for z
+    effects['mounting_rotation'] = {name: left[name] for name in ANGLES}, small
     # what was not driven yet may be the slope of the road
     driven = mounting is not None and mounting.yaw_known
-    if driven and any(one.certain(small[name], SURE) for name, one in angles.items()):
-        effects['mounting_rotation'] = angles
+    vague = {'gnss_lever_arm': dict.fromkeys('xyz', VAGUE_ARM), 'mounting_rotation': small}
     since = int(part.imu.stamp[0])
-    return {name: _finding(name, sizes, values, since) for name, sizes in effects.items()}
+    found = {}
+    for name, (sizes, least) in effects.items():
+        clear = {n: one for n, one in sizes.items() if one.sigma < vague.get(name, {}).get(n, math.inf)}
+        certain = any(one.certain(least.get(n, SMALL_ARM), SURE) for n, one in clear.items())
+        if certain and (driven or name != 'mounting_rotation'):
+            found[name] = _finding(name, clear, values, since)
+        else:
+            found[name] = _as_given(name, sizes, least, since)
+    return found
+
+
+def _as_given(name: str, sizes: dict[str, Remaining], least: dict[str, float], since: int) -> Finding:
+    """What may be left of an effect of which nothing is left for certain. least: what does not matter."""
+    units = {one.name: one.unit for one in effect_called(name).traced}
+    left = {n: Estimate(one.value, one.sigma, units[n]) for n, one in sizes.items() if math.isfinite(one.sigma)}
+    settled = all(sizes[n].settled(most) for n, most in least.items())
+    return Finding(name, [name], left, 0.0, 0.0, False, HeldOut(0.0, 1.0, []), settled=settled, since=since)
 
 
 def _finding(name: str, sizes: dict[str, Remaining], values: dict, since: int) -> Finding:

@@ -81,11 +81,12 @@ def _end_scores(outages: Outages) -> np.ndarray:
 
 def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Sequence[dict], durations,
             spacing: float, judged: Sequence[np.ndarray] | None = None,
-            between: Callable[[], None] = lambda: None) -> Measured:
+            between: Callable[[], None] = lambda: None, announces: bool = False) -> Measured:
     """Errors in one drive of a model with parameters `models`: one set, or one for each part, fitted to the others.
 
     recording: with all fixes, for the truth. imu: the samples that the filter gets. judged: masks of the parts in which
-    errors are measured, by default those of `parts`. between: called after each model (`on_all_cores`).
+    errors are measured, by default those of `parts`. between: called after each model (`on_all_cores`). announces: as
+    for `run_with_outages`.
     """
     first = int(problem.stamp[problem.mask][0])
     # by the stamps of the fixes, so that models with different time offsets have the same outages
@@ -100,7 +101,7 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
     def one(model):
         values, part = model
         found = _run(problem, recording, imu, values, durations,
-                     begins if whole else begins[in_mask(begins, problem, part)])
+                     begins if whole else begins[in_mask(begins, problem, part)], announces)
         return found.select(lambda stamp: (whole | in_mask(stamp, problem, part)) & (stamp >= first),
                             np.isfinite(found.likelihood) & part)
     return _joined(on_all_cores(one, zip(models, judged), between))
@@ -126,7 +127,7 @@ def _joined(found: Sequence[Measured]) -> Measured:
 
 
 def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, durations,
-         begins: np.ndarray) -> Measured:
+         begins: np.ndarray, announces: bool) -> Measured:
     """One filter through the recording: errors with the fixes used, in outages, and the likelihood of each fix (f,)."""
     config, delay = FilterConfig.from_parameters(values), round(values['gnss.time_offset'] * 1e9)
     truth, clock = truth_of(recording, values), problem.reference_clock
@@ -136,7 +137,7 @@ def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, 
     coasting = None
     if durations:
         result, coasting = run_with_outages(config, imu, problem.full.gnss, begins - delay, max(durations),
-                                            aiding_of(recording), keep)
+                                            aiding_of(recording), keep, announces=announces)
     else:
         result = run(config, imu, problem.full.gnss, aiding_of(recording), keep=keep)
     likelihood = problem.innovations(result).log_likelihood()

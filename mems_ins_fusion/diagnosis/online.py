@@ -27,14 +27,14 @@ from ..errors import InputError
 from ..filter.runs.changing import Dropped
 from ..filter.runs.usable import usable
 from ..samples import Recording
-from .advice import advised
+from .advice import WORTH, Advice, advised
 from .diagnose import diagnose
-from .direct import shown_directly
-from .estimate import systematic
+from .direct import looked
+from .estimate import Estimate, systematic
 from .findings import Finding
 from .gathering import CHUNK
 from .held_out import HeldOut
-from .quantity import ALL, INITIALISING, NOTHING, Findings, Kept, Quantity, together
+from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, Findings, Kept, Quantity, together
 from .trial import Trial
 from .trial_outages import SETTLING, Predictions, pairs
 from .window import behind, cut, joined, jumps, seconds
@@ -93,15 +93,15 @@ class Online:
     """The diagnosis of a vehicle whose filter has the checked parameters `values`.
 
     find: an analysis, recording and parameters to findings; by default what `diagnose` would add. look: the same
-    without a filter, each LOOKED s; by default `shown_directly`. kept: what an earlier drive has proven; it drives, and
-    is SUSPECT until it is proven again.
+    without a filter, each LOOKED s, and what is as given; by default `looked`. kept: what an earlier drive has proven;
+    it drives, and is SUSPECT until it is proven again.
 
     An analysis takes longer than the chunks wait for: its result counts with the answer to a later chunk, the same one
     whenever it is there. `analyse` does it before; else that chunk waits for it.
     """
 
     def __init__(self, values: dict, find: Find | None = None, look: Find | None = None, kept: Sequence[Kept] = ()):
-        self._values, self._find, self._look = {**values, 'bag': []}, find or found, look or shown_directly
+        self._values, self._find, self._look = {**values, 'bag': []}, find or found, look or looked
         self._applies = values['diagnosis.online'] == 'apply'
         self._length = values['diagnosis.window']
         self._wait = math.ceil(ANALYSIS / (CHUNK * values['diagnosis.share'])) - 1  # chunks, of an analysis
@@ -115,6 +115,8 @@ class Online:
         self.applied: dict[str, Trial] = {}
         self.begun = self._analyses = self._begins = 0  # trials, analyses; ns, the first stamp
         self._why = ''
+        self._as_given: dict[str, Finding] = {}  # what looks have shown that is not off for certain
+        self._advice: dict[str, Advice] = {}  # what would show more of that
         self._unadvised: list[Trial] = []  # those that came on trial with the newest answer
         for one in kept if self._applies else ():
             self.applied[one.name] = Trial(_known(one, one.parameters), one.sets, self._next_needed(), applied=True,
@@ -155,6 +157,7 @@ class Online:
         self._taken += 1
         if self._window is not None and jumps(self._window, chunk):
             self._window, self._since, self._lately, self._analysis = None, 0.0, 0.0, None
+            self._as_given, self._advice = {}, {}
         if not self._begins:
             self._begins = int(chunk.imu.stamp[0])
             for trial in self.applied.values():
@@ -188,9 +191,17 @@ class Online:
         return CHUNK if seconds(self._window) <= LATEST else LOOKED
 
     def _looked(self) -> list[Finding]:
-        """What a look at the latest samples shows."""
+        """What a look at the latest samples shows to be off."""
         self._unseen = 0.0
-        return self._look(self._window, {**self._values, **self.sets})
+        seen = self._look(self._window, {**self._values, **self.sets})
+        off = {one.name for one in seen if one.added}
+        self._as_given = {name: one for name, one in self._as_given.items() if name not in off}
+        for one in seen:
+            before = self._as_given.get(one.name)
+            if not one.added and (before is None or one.says_more_than(before)):
+                self._as_given[one.name] = one
+        self._advice = {name: advice for name, advice in self._advice.items() if self._is_worth_saying(name)}
+        return [one for one in seen if one.added]
 
     def _begin_analysis(self) -> None:
         """Begin one where one is due, of the latest samples or of all that is kept, whichever has waited longer as a
@@ -267,11 +278,31 @@ class Online:
             self._unadvised.append(trial)
 
     def advise(self) -> None:
-        """Find what would show more of what came on trial with the newest answer. It is told with the next one, whose
+        """Find what would show more of what came on trial with the newest answer, else of what has not been seen well
+        enough yet. It is told with the next one, whose
         chunk does it where nobody has before: it takes several times as long as the answer itself."""
         for trial in self._unadvised:
             trial.advice = advised(trial.finding, self._window, {**self._values, **self.sets})
+        # in the first minutes all time goes into looks and trials
+        name = next((name for name in self._unsettled if name not in self._advice), None)
+        if not self._unadvised and name is not None and seconds(self._window) > LATEST:
+            self._advice[name] = advised(_not_seen_as_usual(self._as_given[name]), self._window,
+                                         {**self._values, **self.sets})
         self._unadvised = []
+
+    @property
+    def _unsettled(self) -> list[str]:
+        """What is as given as far as looks show, and not for certain."""
+        return [name for name, one in self._as_given.items()
+                if not (one.settled or name in self.trials or name in self.applied)]
+
+    def _is_worth_saying(self, name: str) -> bool:
+        """Whether the advice on what is as given still is: not where its sigma has become as small anyway."""
+        one, advice = self._as_given.get(name), self._advice[name]
+        if one is None or one.settled:
+            return False
+        now = one.parameters.get(advice.parameter) if advice else None
+        return now is None or now.sigma > WORTH * advice.now
 
     def _next_needed(self) -> float:
         """Wealth with which the next trial is proven."""
@@ -316,6 +347,7 @@ class Online:
 
     def _take_back(self, name: str) -> None:
         """Have the trial of this name no longer in the parameters that drive."""
+        self._as_given, self._advice = {}, {}  # of the vehicle as it was, too
         trial = self.applied.pop(name)
         trial.applied, trial.proven, trial.harmful, trial.kept = False, False, True, None
         self.trials[name] = trial  # another value on trial is what was left beside this one
@@ -361,27 +393,31 @@ class Online:
     def reset(self) -> list[Quantity]:
         """Forget all but how many trials there have been, as after work on the vehicle."""
         self._window, self._since, self._lately, self._analyses, self._concluded = None, 0.0, 0.0, 0, 0
+        self._as_given, self._advice = {}, {}
         return self.reject()
 
     def quantities(self) -> list[Quantity]:
-        """What is known now, one for each finding; one of the name `all` before the first analysis."""
+        """What is known now, one for each finding, or one of the name `all`; and one for each quantity that is as given
+        as far as looks show."""
         now = self._now
         told = [trial.quantity(now, name) for name, trial in self.applied.items()]
         told += [trial.quantity(now, f'{name}{OTHER if name in self.applied else ""}')
                  for name, trial in self.trials.items()]
+        as_given = [as_given_quantity(now, one, self._advice.get(name)) for name, one in self._as_given.items()
+                    if name not in self.trials and name not in self.applied]
         if told:
-            return told
+            return told + as_given
         if self._window is None:
             return []
         if self._concluded:
             return [Quantity(now, ALL, NOTHING, {}, text=f'nothing found in {self._concluded} analyses'
-                             f"{f' ({self._why})' if self._why else ''}")]
+                             f"{f' ({self._why})' if self._why else ''}"), *as_given]
         if self._analysis is None:
             text = f'{self._since:.0f} of {self._due:.0f} s of samples for a first analysis'
         else:
             left = (self._analysis.due - self._taken) * CHUNK
             text = f'a first analysis goes on, told in {left:.0f} s; the latest minutes are looked at meanwhile'
-        return [Quantity(now, ALL, INITIALISING, {}, text=text)]
+        return [Quantity(now, ALL, INITIALISING, {}, text=text), *as_given]
 
 
 def _outages(trial: Trial, both: list[dict], window: Recording, chunk: Recording, known: dict):
@@ -394,6 +430,20 @@ def _outages(trial: Trial, both: list[dict], window: Recording, chunk: Recording
     lasting = effect.lasting(both[-1])
     return {d: outages if d >= lasting else []
             for d, outages in pairs(*(predictions.of(effect.held(one)) for one in both)).items()}
+
+
+def as_given_quantity(now: int, one: Finding, advice: Advice | None) -> Quantity:
+    """What is as given as far as a look has shown, in words. now: ns, stamp of the newest sample."""
+    left = ', '.join(f'{parameter} {e.text()}' for parameter, e in one.parameters.items())
+    return Quantity(now, one.name, FINE if one.settled else COARSE if left else INITIALISING, one.parameters,
+                    text=f'{left} left of what is given' if left else 'does not show in what was driven so far',
+                    advice=advice.text() if advice else '')
+
+
+def _not_seen_as_usual(one: Finding) -> Finding:
+    """`one` with the usual size of what has not been seen at all as its sigma."""
+    usual = {p.name: Estimate(0.0, p.prior_scale, p.unit) for p in effect_called(one.name).traced}
+    return replace(one, parameters={**usual, **one.parameters})
 
 
 def _known(kept: Kept, parameters: dict) -> Finding:

@@ -13,6 +13,8 @@ INITIALISING, COARSE, FINE, SUSPECT = 'INITIALISING', 'COARSE', 'FINE', 'SUSPECT
 #: for those who have not read of them
 MEANING = {INITIALISING: 'too few samples yet', COARSE: 'found, being tested', FINE: 'proven by what came after',
            SUSPECT: 'not certain any more'}
+#: the same where the parameters are as given
+AS_GIVEN = {INITIALISING: MEANING[INITIALISING], COARSE: 'as given, as far as is seen', FINE: 'right as given'}
 #: of an analysis that has found nothing, and of which quantity that and INITIALISING are said
 NOTHING, ALL = 'NOTHING FOUND', 'all'
 #: of the filter that drives, where it goes on with what has been found
@@ -24,7 +26,8 @@ ANOTHER = 365.25 * 86_400.0
 @dataclass(frozen=True)
 class Quantity:
     """What is known of one thing. time: ns, stamp of the newest sample. sets: lines of a params file. better: by
-    duration, mean error m without and with it, and of how many outages. text: in words. applied: whether the filter
+    duration, mean error m without and with it, and of how many outages. Without lines the parameters are as given, as
+    far as is seen, and `parameters` what may be left. text: in words. applied: whether the filter
     that drives is to have it. kept: it for the next drive, where it is applied."""
 
     time: int
@@ -41,7 +44,18 @@ class Quantity:
     @property
     def sentence(self) -> str:
         """State and text, for a person."""
-        return f'{self.state}{f" ({MEANING[self.state]})" if self.state in MEANING else ""}: {self.text}'
+        meaning = (MEANING if self.sets else AS_GIVEN).get(self.state)
+        return f'{self.state}{f" ({meaning})" if meaning else ""}: {self.text}'
+
+    @property
+    def is_as_given(self) -> bool:
+        """Whether it is of parameters that are as given, as far as is seen."""
+        return not self.sets and self.name != ALL
+
+    @property
+    def is_to_look_at(self) -> bool:
+        """Whether a person should know: proven, or not certain any more. What is right as given needs nobody."""
+        return self.state == SUSPECT or self.state == FINE and bool(self.sets)
 
     @property
     def said(self) -> tuple:

@@ -39,7 +39,7 @@ def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, di
         longest |= dict.fromkeys(_begins(part, chunk, duration), duration)
     begin = np.array(sorted(longest), dtype=np.int64)
     outages = run_outages(config, part.imu, part.gnss, truth, OUTAGES, begin - delay, aiding_of(part), keep,
-                          np.array([longest[b] for b in begin.tolist()]))
+                          np.array([longest[b] for b in begin.tolist()]), announces=False)
     return {one.duration: {b + delay: (_misfit(errors, b + round((1.0 - JUDGED) * one.duration * 1e9)), distance) for
                            b, errors, distance in zip(one.begin.tolist(), one.errors, one.distance)}
             for one in outages}

@@ -196,7 +196,7 @@ class TrialRuns:
             found[recording.name] = measure(
                 problem, judging, (problem.drive if use == FOR_EFFECTS else problem.full).imu,
                 [values for values, _ in mine], fitting(self.durations, problem), self._between(problem, use),
-                [mask for _, mask in mine], self.working)
+                [mask for _, mask in mine], self.working, use == REPORTED)
         return together(found)
 
     def _between(self, problem: Problem, use: str) -> float:

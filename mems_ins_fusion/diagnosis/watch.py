@@ -12,7 +12,7 @@ from .quantity import Findings, Kept, Quantity
 
 
 class Watch:
-    """A recording as a live node is told of it, chunk by chunk. said: each quantity when it was news.
+    """A recording as a live node is told of it, chunk by chunk. said: each finding when it was news.
 
     progress: called from time to time with the part that is done; what it raises ends all. find, look, kept: as of
     `Online`.
@@ -45,7 +45,7 @@ class Watch:
         begin, end = self._span
         self._done = (int(chunk.imu.stamp[-1]) - begin) / max(end - begin, 1)
         for quantity in self._work.take(chunk, dropped):
-            if self._told.get(quantity.name) != quantity.said:
+            if self._told.get(quantity.name) != quantity.said and not quantity.is_as_given:
                 self.said.append(quantity)
             self._told[quantity.name] = quantity.said
         return self.wanted

@@ -30,7 +30,8 @@ class Outages:
     after the begin; growth (o, g): horizontal error at these times, m; sigma (o, g): the filter's horizontal standard
     deviation, m. errors: of each outage. kept: m, the largest error of a prediction with the velocity at the begin,
     which needs no IMU. announced: s for which, by the trust horizon at the begin, the error stays below `horizon.limit`
-    (NaN for smoothed outages); crossed: s after which the error exceeded it, inf where it did not.
+    (NaN for smoothed outages, and where it was not asked for); crossed: s after which the error exceeded it, inf where
+    it did not.
     """
 
     duration: float
@@ -92,15 +93,16 @@ def _spaced(stamp: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Truth, durations, begin: np.ndarray,
-                aiding: Aiding = Aiding(), keep: np.ndarray | None = None,
-                longest: np.ndarray | None = None) -> list[Outages]:
+                aiding: Aiding = Aiding(), keep: np.ndarray | None = None, longest: np.ndarray | None = None,
+                announces: bool = True) -> list[Outages]:
     """The outages of each duration (s) that begin at `begin`, each the only one in its run.
 
     aiding: inputs besides the fixes. keep: IMU samples whose states are used, (n,) bool; they must surround the epochs
-    of the truth. longest: s, of each begin (o,) the longest duration that is wanted; None: all.
+    of the truth. longest: s, of each begin (o,) the longest duration that is wanted; None: all. announces: as for
+    `run_with_outages`.
     """
     run, coasting = run_with_outages(config, imu, fixes, begin, max(durations) if longest is None else longest, aiding,
-                                     keep)
+                                     keep, announces=announces)
     return outages_of(run, coasting, truth, durations, config.imu.restart_gap)
 
 

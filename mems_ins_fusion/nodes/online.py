@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from ..diagnosis.applying import Due
 from ..diagnosis.gathering import CHUNK, Gathering
-from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Findings, Kept, Quantity
+from ..diagnosis.quantity import INITIALISING, SUSPECT, Findings, Kept, Quantity
 from ..filter.measurements.registry import aiding
 from ..filter.runs.changing import Dropped
 from .estimates import LATCHED, NO_EVENTS
@@ -165,7 +165,7 @@ class OnlineDiagnosis:
     def _say(self, answer: list[Quantity]) -> None:
         for quantity in answer:
             if self._said.get(quantity.name) != quantity.said and quantity.state != INITIALISING:
-                level = 'warning' if quantity.state in (FINE, SUSPECT) else 'info'
+                level = 'warning' if quantity.is_to_look_at else 'info'
                 self._log.tell(level, f'diagnosis.online: {quantity.name} {quantity.sentence}'
                                      f'{". To know it better: " if quantity.advice else ""}{quantity.advice}')
             self._said[quantity.name] = quantity.said

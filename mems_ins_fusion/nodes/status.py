@@ -6,7 +6,7 @@ from collections import deque
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from ..diagnosis.quantity import FINE, SUSPECT, Quantity
+from ..diagnosis.quantity import Quantity
 from ..filter.runs.horizon import Horizon
 from ..filter.runs.tally import Tally
 from ..samples import SECOND
@@ -157,7 +157,7 @@ def quantity_status(name: str, quantity: Quantity) -> DiagnosticStatus:
         values |= {f'{said}, without it': without, f'{said}, with it': with_it, f'{said}, times': count}
     values |= {f'set {i}': line for i, line in enumerate(quantity.sets, 1)}
     values |= {'applied': quantity.applied} | ({'to know it better': quantity.advice} if quantity.advice else {})
-    level = WARN if quantity.state in (FINE, SUSPECT) else OK
+    level = WARN if quantity.is_to_look_at else OK
     return DiagnosticStatus(level=level, name=f'{name}: calibration: {quantity.name}', hardware_id=name,
                             message=f'{quantity.state}: {quantity.text}', values=_key_values(values))
 

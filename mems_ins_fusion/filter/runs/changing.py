@@ -89,6 +89,8 @@ class Dropped:
 class WatchedFilter(FusionFilter):
     """`FusionFilter` that keeps the innovations of the fixes, by a number of the fix that several filters share."""
 
+    announces = False
+
     def __init__(self, config: FilterConfig):
         self._numbers: dict[int, int] = {}  # by Event.ID: numbers of fixes that are not processed yet
         self.misfits: dict[int, tuple[float, float]] = {}
@@ -163,6 +165,8 @@ class ParallelFilter:
 
 class ChangingFilter(WatchedFilter):
     """`FusionFilter` with `change`."""
+
+    announces = True
 
     def __init__(self, config: FilterConfig):
         self._next: ParallelFilter | None = None  # the filter that is to take over
@@ -286,7 +290,8 @@ class ChangingFilter(WatchedFilter):
         """As `FusionFilter.horizon`, of the published estimate."""
         if self._memory is None or self._blending is None:
             return super().horizon()
-        return self._horizon.predict(self._memory, added=self._blending.left(self._now))
+        return self._horizon.predict(self._memory, added=self._blending.left(self._now),
+                                     realised=self._withheld.realised)
 
     def warm_up(self) -> None:
         super().warm_up()
@@ -357,6 +362,9 @@ class ChangingFilter(WatchedFilter):
         self._next = None
         self.__dict__.update({name: value for name, value in vars(other).items() if name not in _STAYS})
         self._blending, self._beside = None, {}
+        before._withheld.stop()
+        if self._memory is not None:
+            self._follow_withheld()
         if published is not None:
             stamp = self.update_odometry()
             self._blending = blending(stamp, published, self.odometry)

@@ -4,8 +4,10 @@ A small copy of the filter's memory (newest state, newest sample, scratch) is pr
 straight motion at the present speed, or accelerating to `horizon.speed` where that is higher. The non-holonomic
 constraint, and the wheel speed where there is one, are applied with zero innovations, so that only the covariance
 changes. Standstills are not applied, as it is unknown whether there will be one. The horizon ends where the horizontal
-error exceeds `horizon.limit` with a probability above 5 %, by the published covariance. While another filter takes over
-(blending.py), the difference that is added to the published position counts as an error.
+error exceeds `horizon.limit` with a probability above 5 %, by the published covariance, whose part P counts with the
+factor that copies of the filter without fixes have shown (withheld.py), and the receiver's slow errors with the
+estimate of their variance. While another filter takes over (blending.py), the difference that is added to the published
+position counts as an error.
 """
 from __future__ import annotations
 
@@ -40,7 +42,8 @@ from ..memory import (
 )
 from ..prediction import predict
 from ..trust.inputs import SPEED_CORRELATION
-from ..trust.scale import scale, seen_of
+from ..trust.receiver import Receiver
+from ..trust.scale import Scale, scale, seen_of
 from ..update import begin_update, end_update, update
 from .odometry import added_covariance
 
@@ -87,22 +90,31 @@ class HorizonPredictor:
                       Head.MAX_GAP: math.inf}
 
     def predict(self, memory: np.ndarray, exceeded: float = EXCEEDED,
-                added: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Horizon:
+                added: tuple[float, float, float] = (0.0, 0.0, 0.0), realised: float = 1.0) -> Horizon:
         """The horizon from the newest state of `memory`, which does not change.
 
         exceeded: probability of an error above the limit at which the horizon ends. added: difference that is added to
         the published position (`Blending.left`): north and east, m, and the time in which it falls to zero, s.
+        realised: realised over expected variance of the errors without fixes (`Withheld.realised`).
         """
         copy, newest, width = self._copy, int(memory[Head.SAMPLES]), self._width
         state, sample = state_at(memory, newest), sample_at(memory, newest)
         copy[:self._rows] = memory[:self._rows]
         for row in (0, 2):
             copy[self._rows + row * width:][:width] = memory[state:state + width]
+            copy[self._rows + row * width + Nav.LASTING] *= _mean_over_used(memory, state + Receiver.LASTING_SCALE)
         copy[self._ring:self._events] = memory[sample:sample + Sample.SIZE]
         copy[self._events:][:Event.SIZE], interval = _wheel_speed(memory, memory[state + Nav.TIME])
         for column, value in self._head.items():
             copy[column] = value
-        return Horizon(*_predict(copy, self._limit, self._speed, interval, exceeded, *added))
+        return Horizon(*_predict(copy, self._limit, self._speed, interval, exceeded, *added, realised))
+
+
+def _mean_over_used(memory: np.ndarray, at: int) -> float:
+    """Estimate of the scale at `at` over what is used of it. Below 1 that is the estimate and one sigma: no error with
+    a small sigma. The horizon is to be right in 95 % of the outages, neither less nor more."""
+    level = memory[at + Scale.LOG]
+    return math.exp(level) / scale(memory, at) if level < 0.0 else 1.0
 
 
 def _wheel_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
@@ -116,11 +128,12 @@ def _wheel_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
 
 
 @njit(_nrt=False)
-def _predict(mem, limit, wanted, interval, exceeded, north, east, left):
+def _predict(mem, limit, wanted, interval, exceeded, north, east, left, realised):
     """Seconds and metres until the error exceeds `limit`, m, with a probability above `exceeded`.
 
     mem: as `HorizonPredictor` makes it. wanted: m/s, lowest speed to accelerate to. interval: s between wheel speeds,
     whose record is in the memory; 0: none. north, east: m, added to the estimate; they fall to zero within `left` s.
+    realised: factor on the covariance.
     """
     first, width, sample = nonnegative(state_at(mem, 0)), int(mem[Head.WIDTH]), nonnegative(sample_at(mem, 0))
     src, dst, seen = first, nonnegative(first + width), nonnegative(first + 2 * width)
@@ -128,7 +141,7 @@ def _predict(mem, limit, wanted, interval, exceeded, north, east, left):
     metres = 0.0
     for k in range(round(LONGEST / STEP)):
         part = 1.0 - k * STEP / left if k * STEP < left else 0.0
-        if exceedance_probability(mem, src, limit, part * north, part * east) > exceeded:
+        if exceedance_probability(mem, src, limit, part * north, part * east, realised) > exceeded:
             return k * STEP, metres
         speed_now = math.hypot(mem[src + Nav.V_N], mem[src + Nav.V_E])
         coast(mem, sample, src)
@@ -171,14 +184,14 @@ def _take_speed(mem, r, sample, interval):
 
 
 @njit(_nrt=False)
-def exceedance_probability(mem, r, limit, north=0.0, east=0.0):
+def exceedance_probability(mem, r, limit, north=0.0, east=0.0, realised=1.0):
     """Probability that the horizontal error of the state at r exceeds `limit`, m. north, east: m, whose squares are
-    part of the covariance.
+    part of the covariance. realised: factor on it.
 
     The mean over all directions phi of exp(-limit^2 / (2 (a cos(phi)^2 + b sin(phi)^2))), a and b the variances along
     the axes of the error ellipse.
     """
-    factor = variance_factor(mem, r)
+    factor = realised * variance_factor(mem, r)
     nn = factor * mem[element_at(mem, r, 0, 0)] + added_covariance(mem, r, 0, 0) + north * north
     ne = factor * mem[element_at(mem, r, 0, 1)] + added_covariance(mem, r, 0, 1) + north * east
     ee = factor * mem[element_at(mem, r, 1, 1)] + added_covariance(mem, r, 1, 1) + east * east

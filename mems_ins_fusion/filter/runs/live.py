@@ -16,7 +16,7 @@ from ..advance import TAKEN
 from ..bank import Bank
 from ..config import FilterConfig
 from ..measurements import wheel_vibration
-from ..memory import Event, Head, Kind, Verdict
+from ..memory import Event, Head, Kind, Nav, Verdict, newest_row
 from ..start.alignment import STANDING_SIGMA, Alignment
 from ..start.course import start_covariance
 from ..start.initial import initialize, sensor_errors_of
@@ -30,6 +30,7 @@ from .snapshot import from_snapshot, make_snapshot, saved_at_jump
 from .status import VERDICTS, FilterStatus
 from .tally import Tally
 from .vehicle_check import ADRIFT, found_mounting, found_time_offsets, vehicle_warnings
+from .withheld import Withheld
 
 _CHECK_PERIOD = 5 * 10**9  # ns between two checks (vehicle_check.py); each takes 0.1 ms
 _MESSAGE_PERIOD = 60 * 10**9  # ns from a message of this check to the next check
@@ -58,6 +59,9 @@ class Judgement(NamedTuple):
 class FusionFilter(FilterStatus):
     """The live filter. Stamps are integer nanoseconds; IMU samples are in sensor axes."""
 
+    #: whether a trust horizon is asked of it, which copies without fixes make truer (withheld.py)
+    announces = True
+
     def __init__(self, config: FilterConfig):
         super().__init__(config)
         self.odometry = np.zeros(SIZE)
@@ -85,6 +89,7 @@ class FusionFilter(FilterStatus):
         """Discard everything but the datum, and align again."""
         self._alignment = Alignment(self.config)
         self._memory: np.ndarray | None = None
+        self._withheld = Withheld(self.config)
         self._provisional: np.ndarray | None = None  # memory of a filter without a heading,
         self._without_heading: Start | None = None  # and its start
         self._epoch: int | None = None
@@ -173,7 +178,11 @@ class FusionFilter(FilterStatus):
                 return False
             self._filter(self._provisional, sample, self._log, self._none)
             return True
+        if sample[0, 0] >= self._withheld.due:
+            self._withheld.before(float(sample[0, 0]), self._memory)
         self._filter(self._memory, sample, self._log, self._none)
+        if self._withheld.copy is not None:
+            self._filter(self._withheld.copy, sample, self._log, self._none)
         if self._memory[Imu.FAULTS:Imu.FAULTS + Fault.SIZE].tobytes() != self._said_faults:
             self._say_faults(stamp)
         if self._pending:
@@ -244,6 +253,8 @@ class FusionFilter(FilterStatus):
             return
         record[Event.ID] = self._ids
         self._ids += 1
+        if self._withheld.copy is not None and not self.config.inputs[kind].from_satellites:
+            self._filter(self._withheld.copy, self._sample[:0], records.copy(), self._before)
         answer = self._filter(self._memory, self._sample[:0], records, self._before)
         if answer != TAKEN:
             self.say_not_taken(kind, answer, stamp, self._now)
@@ -255,7 +266,13 @@ class FusionFilter(FilterStatus):
 
     def _begin(self, start: Start, stamp: int) -> None:
         self._memory, self._newest_fix = self._started(start), stamp
+        self._follow_withheld()
         self._provisional = None
+
+    def _follow_withheld(self) -> None:
+        """Have copies without fixes of the present filter, where a horizon is asked of it."""
+        if self.announces:
+            self._withheld.begin(float(newest_row(self._memory)[Nav.TIME]))
 
     def _started(self, start: Start) -> np.ndarray:
         """Memory of a filter that has begun with `start` and processed all samples since."""
@@ -386,6 +403,7 @@ class FusionFilter(FilterStatus):
         self._memory, before = memory, self._memory
         self.health()
         self.snapshot()
+        Withheld(self.config).warm_up(memory)
         self._memory = before
         follow = self._follow.copy()
         self.follow(np.array([0], dtype=np.int64), sample[:, 1:])

@@ -28,6 +28,7 @@ from .intake import GOOD, JUMPED, Intake, remove_effects
 from .results import MeasurementLog, Run, columns, result
 from .snapshot import saved_at_jump
 from .vehicle_check import found_time_offsets, vehicle_warnings
+from .withheld import Withheld
 
 _NOTHING = np.empty((0, Event.SIZE))
 
@@ -38,7 +39,7 @@ class Coasting:
 
     begin (o,): ns, IMU's clock; fixes later than this are withheld. duration (o,): s, for how long. first (o + 1,):
     outage i has the rows first[i] to first[i + 1] of `run`, from the last sample kept at or before its begin. announced
-    (o,): the trust horizon at the begin, s (`horizon.py`).
+    (o,): the trust horizon at the begin, s (`horizon.py`); NaN where it was not asked for.
     """
 
     begin: np.ndarray
@@ -83,13 +84,16 @@ def run_with_constraints(config: FilterConfig, imu: ImuSamples, fixes: Fixes, ai
 
 def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin: np.ndarray,
                      duration: float | np.ndarray, aiding: Aiding = Aiding(), keep: np.ndarray | None = None,
-                     start: Start | None = None) -> tuple[Run, Coasting]:
+                     start: Start | None = None, announces: bool = True) -> tuple[Run, Coasting]:
     """The ordinary run, and the runs in which all measurements from satellites after each `begin` are withheld.
 
     begin: (o,) ns, ascending. duration: s, length of all outages or of each (o,), which may end with the recording.
-    keep, start: as for `run`. Outages that begin while the filter is not running are left out.
+    keep, start: as for `run`. announces: whether the trust horizon is asked for, which takes as long as the run itself:
+    what copies without fixes have shown until then is part of it (withheld.py). Outages that begin while the filter is
+    not running are left out.
     """
     work = Replay(config, imu, fixes, aiding, start, keep, np.asarray(begin, dtype=np.int64), duration)
+    work.announces = announces
     return work.run(), work.coasting()
 
 
@@ -139,6 +143,8 @@ class Replay(Intake):
         self.start: Start | None = None
         self.memory: np.ndarray | None = None
         self.seconds = 0.0
+        self.announces = False  # whether the trust horizon is asked for at the begin of each outage
+        self._began = 0.0  # s, of the newest sample when the filter began
 
     def run(self) -> Run:
         segments = self._segments()
@@ -175,6 +181,7 @@ class Replay(Intake):
         memory = self._memory()
         initialize(memory, self.config, start)
         skip = int(np.searchsorted(time, start.time, side='right'))
+        self._began = max(start.time, float(time[events.arrival[first - 1] - 1])) if first else start.time
         events = events.later(first, skip)
         began = clock.thread_time()
         self._filter(memory, samples[skip:], kept[skip:], events, epoch)
@@ -255,12 +262,13 @@ class Replay(Intake):
         events.record[:, Event.ID] = np.arange(len(events.kind))
         work = Playback(samples, events, self.columns, kept, states)
         branches, horizon, spare = {}, HorizonPredictor(self.config), np.zeros(len(memory))
+        copies = Copies(self.config, work, withheld, self._began) if self.announces and outages else None
         for i in np.argsort(forks, kind='stable'):
-            work.advance(memory, forks[i])
+            (work if copies is None else copies).advance(memory, forks[i])
             begin, duration = outages[i]
             since = (begin - epoch) * 1e-9
             branches[int(i)] = (*self._branch(memory, work, since, since + duration, withheld, spare),
-                                _announced(horizon, memory, since))
+                                np.nan if copies is None else _announced(horizon, memory, since, copies.realised))
         if self.constrained is not None:
             self._keep_constraints(memory, work, index)
         work.advance(memory, len(samples))
@@ -409,9 +417,40 @@ class Playback:
         kernel.collect(memory, self.log)
 
 
-def _announced(horizon: HorizonPredictor, memory: np.ndarray, begin: float) -> float:
-    """The trust horizon of a filter with this memory, s after `begin`; 0 where the heading is unknown."""
-    seconds = horizon.predict(memory).seconds
+class Copies:
+    """Copies without fixes of a filter in a replay (withheld.py), as a live filter has them. work: the playback of the
+    filter. withheld: which of its events they do not get, (k,) bool. began: s, of the newest sample at its begin."""
+
+    def __init__(self, config: FilterConfig, work: Playback, withheld: np.ndarray, began: float):
+        self._copies, self._work, self._withheld = Withheld(config), work, withheld
+        self._copies.begin(began)
+        self._playback: Playback | None = None
+
+    @property
+    def realised(self) -> float:
+        """As of `Withheld`."""
+        return self._copies.realised
+
+    def advance(self, memory, stop: int) -> None:
+        """As of `Playback`, for filter and copies."""
+        work, time = self._work, self._work.samples[:, 0]
+        while (due := int(np.searchsorted(time, self._copies.due))) < stop:
+            self._both(memory, due)
+            if self._copies.before(float(time[due]), memory):
+                left = work.events.select(~(self._withheld & (work.events.arrival >= due)))
+                self._playback = Playback(work.samples, left, work.columns, work.kept[:0], work.states[:0], work)
+        self._both(memory, stop)
+
+    def _both(self, memory, stop: int) -> None:
+        self._work.advance(memory, stop)
+        if self._playback is not None:
+            self._playback.advance(self._copies.copy, stop)
+
+
+def _announced(horizon: HorizonPredictor, memory: np.ndarray, begin: float, realised: float) -> float:
+    """The trust horizon of a filter with this memory, s after `begin`; 0 where the heading is unknown. realised: as of
+    `Withheld`."""
+    seconds = horizon.predict(memory, realised=realised).seconds
     return float(newest_row(memory)[Nav.TIME]) - begin + seconds if seconds > 0.0 else 0.0
 
 

@@ -201,7 +201,7 @@ class FilterStatus(Intake):
                    'speed sigma, m/s': math.sqrt(sigma[layout.index('v_n')]**2 + sigma[layout.index('v_e')]**2)}
         if self._memory is None:
             return values
-        horizon = self._horizon.predict(memory)
+        horizon = self._horizon.predict(memory, realised=self._withheld.realised)
         values |= {'trust horizon, s': horizon.seconds, 'trust horizon, m': horizon.metres,
                    'trust horizon to, m': self.config.parameters['horizon.limit']}
         values['heading sigma of the vehicle, deg'] = math.degrees(vehicle_heading(self.config, memory)[1])
@@ -229,7 +229,8 @@ class FilterStatus(Intake):
     def horizon(self) -> Horizon | None:
         """The trust horizon (`Horizon`): time and distance within `horizon.limit` without fixes; None before the
         heading is known."""
-        return None if self._memory is None else self._horizon.predict(self._memory)
+        return None if self._memory is None else self._horizon.predict(self._memory,
+                                                                       realised=self._withheld.realised)
 
     def vehicle_axes(self) -> tuple[float, float, float | None]:
         """Estimated rotation of the vehicle's axes from those of imu.mounting_rpy: to the right, then up, rad; and the

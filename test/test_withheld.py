@@ -1,0 +1,99 @@
+"""How far positions without fixes really are off, by copies of the filter: against outages of a replay, for sensors
+that are better and worse than the parameters say, and where a copy says nothing."""
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from filter_support import configure
+from live_support import fed
+
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.replay import run_with_outages
+from mems_ins_fusion.filter.runs.withheld import AGES, PERIOD, WEIGHT
+from mems_ins_fusion.filter.trust.scale import Scale, learn_changes, scale
+from mems_ins_fusion.navigation.earth import radii
+from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+#: what the parameters say, where nothing else is given
+NOISE = {'accelerometer.noise_density': 1e-3, 'gyroscope.noise_density': 1e-4, 'accelerometer.random_walk.q': 1e-5,
+         'gyroscope.random_walk.q': 1e-6, 'sensor_error_model': 'random_walk', 'imu.adapt_noise': False,
+         'vehicle.learn_drift': False, 'vehicle.zero_velocity': True}
+SECOND = 10**9
+
+
+def drive(seconds: float = 400.0, worse: float = 1.0, seed: int = 5, standstill: float = 6.0, **more):
+    """At 25 Hz, with sensors whose white noise is `worse` times that of NOISE; fixes each second."""
+    sensors = SensorErrors(accelerometer_noise_density=[worse * 1e-3] * 3, gyroscope_noise_density=[worse * 1e-4] * 3)
+    return simulate_recording(simulate_drive(seconds, seed=seed, rate=25.0, standstill=standstill), sensors,
+                              GnssNoise(0.02), seed=seed, **more).recording
+
+
+def realised(recording, fixes_until: float = np.inf, **values) -> float:
+    fusion = FusionFilter(configure({**NOISE, **values}))
+    for i in fed(fusion, recording):
+        fusion.use_fixes((recording.imu.stamp[i] - recording.imu.stamp[0]) * 1e-9 < fixes_until)
+    return fusion._withheld.realised
+
+
+def test_it_is_what_outages_of_a_replay_show():
+    # given outages that begin where a live filter has its copies, and the same filter with all fixes
+    recording, config = drive(170.0), configure(NOISE)
+    imu = recording.imu
+    slots = np.arange(PERIOD, 150.0, PERIOD)
+    first = np.searchsorted((imu.stamp - imu.stamp[0]) * 1e-9, slots)
+    begin = imu.stamp[first - 1]
+    whole, outages = run_with_outages(config, imu, recording.gnss, begin, PERIOD + 1.0)
+    expected = np.zeros(Scale.CHANGING_SIZE)
+    for slot, at, rows in zip(slots, first, (slice(*pair) for pair in zip(outages.first, outages.first[1:]))):
+        copy = outages.run.states(rows)
+        for age in AGES:
+            # when the difference of both is compared with the difference of their covariances, at the last sample
+            # before the time that is due
+            last = imu.stamp[np.searchsorted((imu.stamp - imu.stamp[0]) * 1e-9, slot + age) - 1]
+            a, b = (one.states(np.flatnonzero(one.stamp == last)) for one in (copy, whole))
+            if not len(a.stamp):
+                continue
+            meridian, prime = radii(b.latitude[0])
+            off = np.array([(a.latitude - b.latitude)[0] * meridian,
+                            (a.longitude - b.longitude)[0] * prime * np.cos(b.latitude[0])])
+            difference = np.diag(a.sigma[0, :2]**2 - b.sigma[0, :2]**2) + (
+                a.covariance_ne - b.covariance_ne)[0] * (np.ones((2, 2)) - np.eye(2))
+            squared = off @ np.linalg.solve(difference, off) / 2.0
+            learn_changes(expected, 0, float((last - imu.stamp[0]) * 1e-9), squared, 1.0, 0.0, 2, WEIGHT)
+    # then a live filter has learned the same
+    assert realised(recording) == pytest.approx(scale(expected, 0), rel=0.02)
+    assert abs(np.log(scale(expected, 0))) > 0.02
+
+
+@pytest.mark.parametrize('worse, least, most', [(0.25, 0.05, 0.8), (3.0, 2.0, 20.0)])
+def test_sensors_that_are_better_or_worse_than_assumed(worse, least, most):
+    assert least < realised(drive(worse=worse)) < most
+
+
+def test_what_says_nothing_of_errors_while_driving():
+    # given a vehicle that stands without being held at rest, and a filter whose fixes end before the first copy
+    standing, driving = drive(200.0, 3.0, standstill=300.0), drive(200.0, 3.0)
+    assert realised(standing, **{'vehicle.zero_velocity': False, 'alignment.heading': 'parameter'}) == 1.0
+    assert realised(driving, fixes_until=PERIOD - 1.0) == 1.0
+
+
+@pytest.mark.parametrize('inputs', [(), ('speed',)])
+def test_the_horizon_follows_what_was_realised_and_a_replay_the_live_filter(inputs):
+    # given sensors that are three times as noisy as assumed, and wheel speeds, which the copies get, or none
+    recording = drive(200.0, 3.0, aiding=Aiding(speed_rate=10.0))
+    config = configure({**NOISE, 'speed_topic': '/wheel/speed' if inputs else ''})
+    imu, begin = recording.imu, recording.gnss.stamp[[50, 150]]
+    measured = Measured(speed=recording.speed) if inputs else Measured()
+    _, outages = run_with_outages(config, imu, recording.gnss, begin, 10.0, measured)
+    fusion, told = FusionFilter(config), {}
+    for i in fed(fusion, recording, *inputs):
+        if fusion.aligned:
+            told[int(imu.stamp[i])] = fusion.horizon().seconds, fusion._horizon.predict(fusion._memory).seconds
+    for b, announced in zip(begin.tolist(), outages.announced.tolist()):
+        # then the announcement in a replay is that of the live filter at the last sample before the next fix
+        arrived = recording.gnss.received[recording.gnss.stamp > b].min()
+        last = int(imu.stamp[np.searchsorted(imu.received, arrived, side='right') - 1])
+        assert announced == pytest.approx((last - b) / SECOND + told[last][0], abs=1e-6)
+    # and another one than by the covariance alone
+    assert abs(told[last][0] / told[last][1] - 1.0) > 0.1
