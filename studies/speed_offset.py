@@ -85,8 +85,8 @@ def measured() -> None:
         for added in ADDED:
             speeds = along(track, added)
             seen = estimate_speed_offset(recording.imu, speeds, found.rotation)
-            print(f'{name}: {added} s added: {seen.lag:.3f} +- {seen.lag_sigma:.3f} s, low pass {seen.low_pass.tau:.2f} '
-                  f'+- {seen.low_pass.sigma:.2f} s')
+            print(f'{name}: {added} s added: {seen.lag:.3f} +- {seen.lag_sigma:.3f} s, low pass '
+                  f'{seen.low_pass.tau:.2f} +- {seen.low_pass.sigma:.2f} s')
 
 
 def along(track, late: float) -> Speeds:

@@ -27,8 +27,8 @@ _LONGEST = 3.0
 #: steps from fix to fix before and after, from which a speed is taken as the instrument: the next ones share a fix, and
 #: so its noise
 _APART = 2
-#: part of the dynamic pressure; a sigma is at least this: 0.2 m/s of wind along the road that both directions of driving
-#: do not take out, at 15 m/s (2 w / v)
+#: part of the dynamic pressure; a sigma is at least this: 0.2 m/s of wind along the road at 15 m/s (2 w / v), beyond
+#: what both directions of driving take out
 _FLOOR = 0.03
 
 

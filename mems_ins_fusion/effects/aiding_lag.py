@@ -6,7 +6,6 @@ import math
 from mems_ins_fusion.effects.aiding_time_offset import missing
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
 
-
 #: by which the stamps are later than what is measured, in all
 DELAY = EffectParameter('delay', 's', 0.1)
 

@@ -69,7 +69,8 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
     imu, still = _as_declared(imu, values), find_standstill(imu, good)
     findings += [*check_units(imu, good, values, still), *_check_rest(imu, still)]
     if good is not None:
-        findings += [*_check_claims(good), *_check_frozen(good, imu, still), *_check_jumps(good, values.get('gnss.robust_sigma', 0.0) > 0)]
+        findings += [*_check_claims(good), *_check_frozen(good, imu, still),
+                     *_check_jumps(good, values.get('gnss.robust_sigma', 0.0) > 0)]
     return findings
 
 
