@@ -1,25 +1,38 @@
 """How well `configuration.speed_offset` finds how late a wheel speed is: realistic simulated drives.
 
     python studies/speed_offset.py [DRIVES]
+    python studies/speed_offset.py measured
 
 Roads with grades, suspension, vibration, an IMU two metres in front of the axle and turned by what `configure`
 leaves of its mounting (2 deg); wheels with a scale of 1 % and 0.05 m/s of noise, offsets of -0.4 to 0.6 s. What is
 printed stands in docs/configure.md, "Wheel speed".
+
+measured: the IMUs of measured drives, with a speed made of the track, between one position and the next (RTK fixes at 4
+Hz, a reference at 10 Hz), in the middle of the two, and late by some offset more.
 """
 from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.configuration.mounting import estimate_mounting
 from mems_ins_fusion.configuration.speed_offset import SHOWN, estimate_speed_offset
+from mems_ins_fusion.filter.runs.usable import usable_fixes
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
+from mems_ins_fusion.recordings.motion import positions
+from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.samples import Speeds
 from mems_ins_fusion.simulation.scene import SCENES
 from mems_ins_fusion.simulation.simulation import Aiding, SensorErrors, simulate_recording
 
+DATA = Path(__file__).resolve().parents[2] / 'shared' / 'data'
+#: measured drives: topic of the reference; None: the fixes
+TRACKS = {'longmont_rtk_drive': None, 'karlsruhe_hills': '/reference/fix'}
+ADDED = 0.0, 0.4, -0.3  # s
 #: s, of a drive
 DURATION = 300.0
 #: rad: by which the mounting that is given is wrong
@@ -62,5 +75,30 @@ def main(drives: int) -> None:
           f'within 2 sigma: {(np.abs(error) < 2 * sigma).mean():.0%}')
 
 
+def measured() -> None:
+    for name, topic in TRACKS.items():
+        folder = DATA / name / 'bag'
+        recording = read_recording(folder if folder.is_dir() else DATA / name, '/imu/data', '/gps/fix', topic)
+        found = estimate_mounting(recording.imu, usable_fixes(recording.gnss))
+        track = recording.gnss if topic is None else recording.reference
+        print(f'{name}: gnss.time_offset {found.offset.lag:.3f} +- {found.offset.lag_sigma:.3f} s')
+        for added in ADDED:
+            speeds = along(track, added)
+            seen = estimate_speed_offset(recording.imu, speeds, found.rotation)
+            print(f'{name}: {added} s added: {seen.lag:.3f} +- {seen.lag_sigma:.3f} s, low pass '
+                  f'{seen.low_pass.tau:.2f} +- {seen.low_pass.sigma:.2f} s')
+
+
+def along(track, late: float) -> Speeds:
+    """Speeds between one position of `track` and the next, m/s, stamped in the middle and `late` s more."""
+    step = np.diff(track.stamp)
+    ways, near = np.hypot(*np.diff(positions(track), axis=0).T), (step > 0) & (step < 1.5 * np.median(step))
+    stamp = (track.stamp[:-1] + step // 2 + round(late * 1e9))[near]
+    return Speeds(stamp, stamp, ways[near] / (step[near] * 1e-9), np.full(near.sum(), 0.01))
+
+
 if __name__ == '__main__':
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 40)
+    if sys.argv[1:] == ['measured']:
+        measured()
+    else:
+        main(int(sys.argv[1]) if len(sys.argv) > 1 else 40)

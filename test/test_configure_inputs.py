@@ -136,6 +136,24 @@ def test_the_wheels_of_both_sides_have_names_and_places(tmp_path):
         assert found[f'{name}.type'] == 'speed' and found[f'{name}.lever_arm'][1] == pytest.approx(true, abs=0.3)
 
 
+@pytest.mark.parametrize('arm', [[1.5, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+def test_where_an_odometry_is_ahead_of_the_axle_shows_in_its_velocity_sideways(arm, tmp_path):
+    # given a lidar whose odometry knows the velocity sideways, in front of the IMU or at the axle, 1 m behind it
+    made, values = recorded({'inputs': ['lidar'], 'lidar.type': 'twist', 'lidar.topic': '/lidar/odometry',
+                             'lidar.lever_arm': arm}, twist_rate=10.0, twist_lateral_sigma=0.05)
+    made = replace(made, others={'lidar': made.streams()['lidar']})
+    # when
+    found, why = settings_of(written(made, values, tmp_path / 'bag'))
+    # then in front it is an input with a name and its place; at the axle it is the odometry that the filter expects
+    if arm[0] < 0.0:
+        assert found['twist_topic'] == '/lidar/odometry' and not found.get('inputs')
+        return
+    [name] = found['inputs']
+    assert found[f'{name}.type'] == 'twist' and found[f'{name}.topic'] == '/lidar/odometry'
+    assert found[f'{name}.lever_arm'] == pytest.approx(arm, abs=0.3)
+    assert 'm forward' in why[f'{name}.lever_arm']
+
+
 def test_what_is_a_result_or_the_same_sensor_twice_is_not_used(tmp_path):
     # given the same receiver on another topic, with the last digits rounded, the same wheels again, a fused odometry
     made, values = recorded({**TWO_WHEELS, 'inputs': ['rear', 'left', 'right'], 'rear.type': 'fix',

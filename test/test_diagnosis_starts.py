@@ -27,7 +27,13 @@ from mems_ins_fusion.diagnosis.tracing import Candidate, effect_unknowns
 from mems_ins_fusion.diagnosis.trial_runs import TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.simulation.simulation import (
+    Aiding,
+    GnssNoise,
+    SensorErrors,
+    simulate_drive,
+    simulate_recording,
+)
 
 OFFSET = 0.5
 
@@ -60,6 +66,28 @@ def test_the_heading_at_the_start_is_not_that_of_a_wrong_time_offset():
     # then the start is that with which the fixes are explained better, whichever of both is given
     for given, other in ((wrong, right), (right, wrong)):
         assert Problem(recording, given, others=[other]).start.yaw == pytest.approx(by_right, abs=np.radians(0.5))
+
+
+@pytest.mark.parametrize('tau', [0.7, 1.2])
+def test_a_low_pass_of_an_input_is_found_with_its_offset(tau, monkeypatch):
+    # given a wheel speed that is smoothed; of 1.2 s innovations show nothing, as where the filter refuses it
+    if tau > 1.0:
+        monkeypatch.setattr(search, 'trace', lambda problem, nuisance, at, effects, mask: [
+            Candidate(effect, [], np.zeros(0), np.zeros(0), 0.0, 1.0, None, ['delay', 'tau']) for effect in effects])
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    made = simulate_recording(simulate_drive(300.0, 8, 50.0), sensors, GnssNoise(0.3), [(EFFECTS['speed_lag'], {
+        'tau': tau})], seed=8, aiding=Aiding(speed_rate=10.0)).recording
+    # when
+    diagnosis = diagnose(made, table.check({'speed_topic': '/speed'}), effects=[EFFECTS['speed_lag']],
+                         durations=(10.0,))
+    # then both are found, and set
+    found, = (finding for finding in diagnosis.findings if finding.added)
+    for name in ('delay', 'tau'):
+        estimate = found.parameters[name]
+        assert estimate.value == pytest.approx(tau, abs=3.0 * estimate.sigma) and estimate.sigma < 0.2
+    assert found.changes['speed.time_offset'] == pytest.approx(tau, abs=0.2)
+    assert found.changes['speed.lag'] == pytest.approx(tau, abs=0.2)
+    assert np.mean(diagnosis.after.outages[0].max_error) < 0.7 * np.mean(diagnosis.before.outages[0].max_error)
 
 
 def test_a_wrong_time_offset_is_left_again(late):

@@ -13,6 +13,7 @@ from mems_ins_fusion.diagnosis.direct import looked, shown_directly
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.held_out import HeldOut
+from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -72,6 +73,34 @@ def test_a_wheel_speed_that_is_late_is_told_by_the_name_of_its_input(recording):
     found, = shown_directly(named, values)
     assert found.name == 'rear_time_offset'
     assert found.changes['rear.time_offset'] == pytest.approx(OFFSET, abs=0.05)
+
+
+@pytest.mark.parametrize(('effect', 'sizes', 'rates', 'set_by', 'estimated'), [
+    ('speed_lag', {'tau': 1.0}, {'speed_rate': 20.0}, {'speed.time_offset': 1.0, 'speed.lag': 1.0}, {}),
+    ('twist_yaw', {'yaw': 0.1}, {'twist_rate': 10.0, 'twist_lateral_sigma': 0.05}, {'twist.yaw': 0.1},
+     {'twist.yaw_sigma': 1e-6}),
+    ('pressure_dynamic', {'share': -0.6}, {'pressure_rate': 10.0}, {'pressure.dynamic': -0.6},
+     {'pressure.dynamic_sigma': 1e-6})])
+def test_what_is_wrong_with_an_input_is_told_where_the_filter_does_not_estimate_it(effect, sizes, rates, set_by,
+                                                                                   estimated):
+    # given four minutes with an effect of an input
+    made = simulate_recording(simulate_drive(240.0, seed=7, rate=50.0), SensorErrors.from_parameters(
+        DEFAULTS, 'gauss_markov'), GnssNoise(0.1, rate=2.0), [(EFFECTS[effect], sizes)], seed=7,
+        aiding=Aiding(**rates)).recording
+    name = effect.split('_')[0]
+    told = {f'{name}_topic': f'/{name}', **estimated}
+    # when
+    found = {finding.name: finding for finding in shown_directly(made, table.check(told))}
+    # then its sizes are told, and what to set
+    assert list(found) == [effect]
+    for size in sizes:
+        assert found[effect].parameters[size].value == pytest.approx(sizes[size], abs=4.0 * found[effect].parameters[
+            size].sigma)
+    assert found[effect].changes == pytest.approx(set_by, abs=0.15) and found[effect].changes.keys() == set_by.keys()
+    # and with that set nothing is left; nor where the filter estimates it
+    assert shown_directly(made, table.check({**told, **found[effect].changes})) == []
+    if estimated:
+        assert shown_directly(made, table.check({f'{name}_topic': f'/{name}'})) == []
 
 
 def test_of_several_looks_the_longest_that_agrees_counts(recording, monkeypatch):

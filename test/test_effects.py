@@ -239,8 +239,9 @@ def test_effects_that_cannot_show_say_why(drive):
     # nor where the filter estimates it itself
     assert 'estimates' in EFFECTS['rear_axle'].hidden({**constrained, 'vehicle.rear_axle_sigma': 1.0}, recording)
     wheels = replace(recording, speed=Speeds(*np.zeros((4, 1))))
-    assert 'estimates' in EFFECTS['speed_scale'].hidden({**values, 'speed.scale_sigma': 0.02}, wheels)
-    assert not EFFECTS['speed_scale'].hidden({**values, 'speed.scale_sigma': 0.0}, wheels)
+    used = {**values, 'speed_topic': '/speed'}
+    assert 'estimates' in EFFECTS['speed_scale'].hidden({**used, 'speed.scale_sigma': 0.02}, wheels)
+    assert not EFFECTS['speed_scale'].hidden({**used, 'speed.scale_sigma': 0.0}, wheels)
     assert 'strapdown' in EFFECTS['tilt'].hidden({**values, 'mechanization': 'strapdown'}, recording)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from filter_support import HEIGHT, central_difference, started
 from live_support import lived, same_bits
 
 from mems_ins_fusion.configuration.check import check_setup
@@ -12,8 +13,9 @@ from mems_ins_fusion.configuration.configure import configure
 from mems_ins_fusion.configuration.dynamic_pressure import estimate_dynamic_pressure
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.measurements import pressure
 from mems_ins_fusion.filter.measurements.pressure import height_of, metres_per_pascal, pressure_at
-from mems_ins_fusion.filter.memory import Kind
+from mems_ins_fusion.filter.memory import Event, Head, Kind, state_at
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
 from mems_ins_fusion.parameters import table
@@ -51,6 +53,30 @@ def test_the_standard_atmosphere_is_that_of_its_tables(height, pressure):
     assert pressure_at(geopotential) == pytest.approx(pressure, abs=2.0)
     step = height_of(pressure - 0.5) - height_of(pressure + 0.5)
     assert metres_per_pascal(pressure) == pytest.approx(step, rel=1e-6)
+
+
+def test_innovation_and_derivatives_are_those_of_the_flow_of_the_air():
+    # given a share that is declared, and estimates of what is left of it and of the weather
+    c, velocity, declared = config(), np.array([12.0, -5.0, 0.3]), -0.4
+    bias, share = (c.layout.index(f'pressure_{name}') for name in ('bias', 'dynamic'))
+    n, x = c.layout.n, np.zeros(c.layout.n)
+    x[bias], x[share] = 3.0, 0.15
+    memory = started(c, velocity=velocity, x=x)
+    r, scratch = state_at(memory, 0), int(memory[Head.SCRATCH_AT])
+    h, at = scratch + n * n, scratch + n * n + 3 * n
+    memory[h:h + n], memory[scratch:scratch + n * n] = 0.0, 0.0
+    memory[at + Event.VALUE], memory[at + Event.VALUE + 1], memory[at + Event.STATE] = HEIGHT - 8.0, declared, bias
+    assert pressure.observe(memory, r, at, h) == 1
+
+    def measured(away):
+        """Height that it shows, m; away: true less estimated errors of the filter."""
+        away = x + away
+        v_n, v_e = velocity[:2] - away[3:5]
+        return HEIGHT + away[2] + away[bias] - (declared + away[share]) * (v_n**2 + v_e**2) / (2.0 * 9.80665)
+    # then z = H x + noise holds where the errors are what they are estimated to be, to first order around it
+    row = memory[h:h + n]
+    assert row == pytest.approx(-central_difference(lambda away: np.array([measured(away)]), n, 1e-4)[0], abs=1e-6)
+    assert memory[at + Event.Z_N] - row @ x == pytest.approx(measured(np.zeros(n)) - (HEIGHT - 8.0), abs=1e-9)
 
 
 def test_it_knows_the_height_where_fixes_do_not_and_in_an_outage():

@@ -1,6 +1,7 @@
 """How late a wheel speed is: found against the IMU, known to the filter, set by `configure`, said by the checker."""
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -92,9 +93,18 @@ def test_a_low_pass_is_told_from_stamps_that_are_late(tmp_path):
     assert [f.severity for f in said] == ['info', 'warning'] and 'set speed.lag to 0.' in said[1].message
     assert [f.severity for f in check_setup(made, {**values, 'speed.lag': 0.7}) if f.topic == 'imu/speed'] == [
         'info', 'info']
-    shown = shown_without_filter([made], values).low_passes
-    assert shown['speed'].tau == pytest.approx(found[0.7].low_pass.tau, abs=0.01)
-    assert not shown_without_filter([made], {**values, 'speed.lag': 0.7}).low_passes
+    shown = shown_without_filter([made], values)
+    assert shown.low_passes['speed'].tau == pytest.approx(found[0.7].low_pass.tau, abs=0.01)
+    # diagnose tries it together with its offset, and no other offset of the speed
+    mine = {effect.name: effect for effect in shown.effects(values) if effect.name.startswith('speed_')}
+    assert [one.name for one in mine['speed_lag'].traced] == ['delay', 'tau'] and 'speed_time_offset' not in mine
+    # where one of 0.7 s is declared there is none; beside one of 0.4 s there is the rest, by their squares
+    without = shown_without_filter([made], {**values, 'speed.lag': 0.7})
+    mine = {effect.name: effect for effect in without.effects(values) if effect.name.startswith('speed_')}
+    assert not without.low_passes and 'speed_time_offset' in mine
+    assert [one.name for one in mine['speed_lag'].traced] == ['tau']
+    beside = shown_without_filter([made], {**values, 'speed.lag': 0.4}).low_passes['speed'].tau
+    assert math.hypot(beside, 0.4) == pytest.approx(found[0.7].low_pass.tau, abs=0.01)
     write_recording(made, tmp_path / 'bag', speed_topic='/can/speed')
     result = configure([tmp_path / 'bag']).values
     assert result['speed.lag'] == pytest.approx(0.7, abs=0.1) and (

@@ -12,7 +12,7 @@ from mems_ins_fusion.configuration.inputs import CLOCKED, axes_of, clock_of, dyn
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
 from mems_ins_fusion.configuration.odometry_axes import OdometryAxes
 from mems_ins_fusion.configuration.receiver import TOO_SURE, assess_receiver
-from mems_ins_fusion.configuration.remaining import ANGLES, ARM, TIME_OFFSET, ClockLeft, Remaining, remaining_of
+from mems_ins_fusion.configuration.remaining import ANGLES, ARM, SHARE, TIME_OFFSET, ClockLeft, Remaining, remaining_of
 from mems_ins_fusion.configuration.speed_offset import MOST_SPRINGS, LowPass
 from mems_ins_fusion.configuration.vehicle import standstills_show
 from mems_ins_fusion.filter.measurements.registry import MEASUREMENTS, aiding
@@ -192,21 +192,28 @@ def _check_clocks(recording: Recording, imu: ImuSamples, found: Mounting | None,
 
 def _check_pressures(recording: Recording, fixes: Fixes, values: dict):
     """What the parameters leave of the dynamic pressure of each barometer."""
-    streams = recording.streams()
+    for name, left in shares_left(recording, fixes, values).items():
+        share = left.value + values[f'{name}.dynamic']
+        shown = {'share': share, 'sigma': left.sigma, 'left': left.value}
+        said = f'the {name} has {share:.2f} +- {left.sigma:.2f} of the dynamic pressure'
+        if left.certain(SMALL_SHARE, SURE):
+            yield Finding(WARNING, f'gnss/{name}', f'{said}: set {name}.dynamic to {share:.2f}', shown,
+                          (f'{name}.dynamic',))
+        else:
+            yield Finding(INFO, f'gnss/{name}', said, shown)
+
+
+def shares_left(recording: Recording, fixes: Fixes, values: dict) -> dict[str, Remaining]:
+    """By the names of barometers: what the checked parameters `values` leave of the share of the dynamic pressure that
+    `recording` shows, with its usable `fixes`."""
+    left, streams = {}, recording.streams()
     for one in aiding(values):
         if one.kind != Kind.PRESSURE or not values[one.topic] or one.name not in streams:
             continue
         seen = dynamic_of(streams[one.name], values[f'{one.name}.factor'], fixes)
-        if seen is None:
-            continue
-        left = seen.share - values[f'{one.name}.dynamic']
-        shown = {'share': seen.share, 'sigma': seen.sigma, 'left': left}
-        said = f'the {one.name} has {seen.share:.2f} +- {seen.sigma:.2f} of the dynamic pressure'
-        if abs(left) > max(SMALL_SHARE, SURE * seen.sigma):
-            yield Finding(WARNING, f'gnss/{one.name}', f'{said}: set {one.name}.dynamic to {seen.share:.2f}', shown,
-                          (f'{one.name}.dynamic',))
-        else:
-            yield Finding(INFO, f'gnss/{one.name}', said, shown)
+        if seen is not None:
+            left[one.name] = Remaining(SHARE, seen.share - values[f'{one.name}.dynamic'], seen.sigma)
+    return left
 
 
 def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict) -> dict[str, ClockLeft]:

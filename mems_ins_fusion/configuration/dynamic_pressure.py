@@ -19,10 +19,16 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import positions
 from mems_ins_fusion.samples import Fixes, Pressures, in_time_order
 
-_FEWEST = 60  # fixes
-_LONGEST = 3.0  # s between two fixes that show a speed
-_APART = 2  # fixes before and after: the next ones have noise in common
-#: a sigma is at least this: the wind of the day
+#: fixes, and messages of the barometer, at least: a minute of one each second, six stretches for the jackknife
+_FEWEST = 60
+#: s between two fixes that show a speed, at most: over T at an acceleration a the mean square of the speed is larger
+#: than the square of its mean by (a T)^2 / 12, 4 cm of height for 1 m/s^2
+_LONGEST = 3.0
+#: steps from fix to fix before and after, from which a speed is taken as the instrument: the next ones share a fix, and
+#: so its noise
+_APART = 2
+#: part of the dynamic pressure; a sigma is at least this: 0.2 m/s of wind along the road at 15 m/s (2 w / v), beyond
+#: what both directions of driving take out
 _FLOOR = 0.03
 
 

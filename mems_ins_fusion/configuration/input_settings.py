@@ -105,12 +105,15 @@ def _seen(drives: Sequence[Sequence[InputShown | LeftOut]], one: InputShown) -> 
 
 
 def _is_aside(one: InputShown, topics: Topics) -> bool:
-    """Whether it is measured to the left or right of the IMU for certain, as by one wheel, or the transforms have it
-    there; of a velocity, whether they have it elsewhere than at the antenna."""
+    """Whether it is measured to the left or right of the IMU for certain, as by one wheel, or ahead of the rear axle,
+    as by a lidar, or the transforms have it there; of a velocity, whether they have it elsewhere than at the antenna.
+    """
     told = _told_place(topics, one)
     if one.measurement.of_antenna:
         return bool(told is not None and topics.arm_of_tf is not None
                     and np.linalg.norm(told - topics.arm_of_tf) > ARM_SHOWN)
+    if one.axes is not None and abs(one.axes.ahead[0]) > max(ARM_SHOWN, SURE * one.axes.ahead[1]):
+        return True
     across, sigma = one.arm[0][1], one.arm[1][1]
     if told is not None:
         return bool(abs(told[1]) > ARM_SHOWN)

@@ -112,11 +112,11 @@ def shown_inputs(readings: Mapping[str, Mapping[str, object]], receivers: Mappin
     fixes of further receivers. imu: SI units. fixes: usable ones of the first receiver, None without. still: (n,) bool,
     samples at rest.
     """
-    rotation = mounting.rotation if mounting is not None and mounting.yaw_known else None
+    rotation = _rotation(mounting)
     found = [_counted(_receiver(topic, others, imu, fixes, still), others) for topic, others in receivers.items()]
     for topic, read in readings.items():
         kind = _kind(topic, read, imu, fixes, rotation)
-        timed = kind if isinstance(kind, LeftOut) else _timed(kind, read, imu, fixes, rotation)
+        timed = kind if isinstance(kind, LeftOut) else _timed(kind, read, imu, fixes, mounting)
         found.append(_counted(timed, next(iter(read.values()))))
     return _without_repeats(found)
 
@@ -219,14 +219,23 @@ def _points_along(velocities, fixes) -> bool:
     return bool(shown) and all(finding.severity == INFO for finding in shown)
 
 
-def _timed(shown: InputShown, read, imu, fixes, rotation) -> InputShown:
-    """`shown` with its time offset and, for wheels, their place."""
+def _timed(shown: InputShown, read, imu, fixes, mounting: Mounting | None) -> InputShown:
+    """`shown` with its time offset and, for wheels and odometry, their place: to the left from the speed in bends,
+    ahead from the velocity sideways, which shows how far ahead of the rear axle it is, as the mounting of the IMU."""
     samples = _in_si(read[shown.measurement.name], shown.factor)
-    clock = clock_of(shown.measurement.name, samples, imu, fixes, rotation)
-    shown = replace(shown, lag=clock.lag, low_pass=clock.low_pass, axes=axes_of(samples))
-    if (left := clock.left) is None:
-        return shown
-    return replace(shown, arm=(np.array([0.0, left[0], 0.0]), np.array([np.inf, left[1], np.inf])))
+    clock = clock_of(shown.measurement.name, samples, imu, fixes, _rotation(mounting))
+    axes = axes_of(samples)
+    shown = replace(shown, lag=clock.lag, low_pass=clock.low_pass, axes=axes)
+    left = clock.left or (0.0, math.inf)
+    ahead = (0.0, math.inf)
+    if axes is not None and mounting is not None:
+        ahead = axes.ahead[0] - mounting.imu[0], math.hypot(axes.ahead[1], mounting.imu[1])
+    return replace(shown, arm=(np.array([ahead[0], left[0], 0.0]), np.array([ahead[1], left[1], np.inf])))
+
+
+def _rotation(mounting: Mounting | None) -> np.ndarray | None:
+    """(3, 3) from sensor axes to base_link; None where the yaw of the mounting is not known."""
+    return mounting.rotation if mounting is not None and mounting.yaw_known else None
 
 
 def _in_si(samples, factor: float):

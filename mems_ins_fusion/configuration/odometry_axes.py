@@ -15,8 +15,10 @@ import numpy as np
 from mems_ins_fusion.configuration.regression import blocks, fit, jackknife
 from mems_ins_fusion.samples import Twists, in_time_order
 
-_FEWEST = 200  # samples in motion
-_SLOWEST = 0.3  # m/s: slower ones are noise
+#: samples in motion, at least: at 5 Hz the four stretches of 10 s that the jackknife asks for
+_FEWEST = 200
+#: m/s, slowest motion: the noise of an odometry, some cm/s, is an angle of 10 deg there
+_SLOWEST = 0.3
 #: standard deviations about zero: angle (rad), distance (m), sideslip (rad/(m/s^2)), in units of the noise, of which
 #: one of 0.1 m/s is assumed
 _PRIOR = np.array([0.5, 3.0, 0.05]) / 0.1

@@ -17,13 +17,14 @@ from mems_ins_fusion.navigation.frames import rotation_from_rpy
 TIME_OFFSET = 'time offset'
 ANGLES = 'roll', 'pitch', 'yaw'
 ARM = 'forward', 'left', 'up'
+LOW_PASS, YAW, SHARE = 'low pass', 'yaw', 'share of the dynamic pressure'
 
 
 @dataclass(frozen=True)
 class Remaining:
     """What is left of one quantity: `value`, the estimate less what the file says, and its standard deviation, infinite
-    where the recording does not show it. name: TIME_OFFSET (s), one of ANGLES (rad, about forward, left and up), or one
-    of ARM (m)."""
+    where the recording does not show it. name: TIME_OFFSET or LOW_PASS (s), one of ANGLES or YAW (rad, about forward,
+    left and up), one of ARM (m), or SHARE."""
 
     name: str
     value: float

@@ -84,6 +84,14 @@ class LowPass:
         """Whether it is more than the springs of the body."""
         return self.tau - SURE * self.sigma > MOST_SPRINGS
 
+    def left(self, declared: float) -> LowPass | None:
+        """What there is of it beside one of `declared` s, the squares of whose time constants add up; None where
+        nothing is certain."""
+        if not self.certain or self.tau - declared <= SURE * self.sigma:
+            return None
+        tau = math.sqrt(self.tau**2 - declared**2)
+        return LowPass(tau, self.sigma * self.tau / tau)
+
 
 @dataclass(frozen=True)
 class SpeedOffset:

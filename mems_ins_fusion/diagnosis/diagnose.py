@@ -8,7 +8,6 @@ import numpy as np
 
 from ..effects.aiding_time_offset import SeveralTimeOffsets
 from ..effects.base import Effect
-from ..effects.registry import effects_of
 from ..filter.runs.usable import usable
 from ..recordings.several import one_after_another
 from ..samples import Recording
@@ -56,12 +55,12 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     thinned = [recording for recording in thinned if recording.name not in left_out]
     for problem, recording in zip(found, thinned):
         problem.reference_clock = whose(recording, values['reference_clock']).name
-    late = SeveralTimeOffsets(shown.late) if len(shown.late) > 1 else None
-    library = tuple(effects if effects is not None else (*effects_of(values), *([late] if late else [])))
+    library = tuple(effects if effects is not None else shown.effects(values))
     sizes = {'gnss_time_offset': [{'time_offset': other[TIME_OFFSET] - values[TIME_OFFSET]} for other in others],
              **{f'{name}_time_offset': [{'time_offset': left.value}] for name, left in shown.clocks.items()},
-             **{f'{name}_lag': [{'tau': one.tau}] for name, one in shown.low_passes.items()},
-             **({late.name: [{'share': 1.0}]} if late else {})}
+             **{f'{name}_lag': [{'delay': shown.clocks[name].value, 'tau': one.tau}]
+                for name, one in shown.low_passes.items()},
+             **{effect.name: [{'share': 1.0}] for effect in library if isinstance(effect, SeveralTimeOffsets)}}
     trials = TrialRuns(tuple(thinned), Drives(found), library, tuple(durations), spacing, tell,
                        values['gnss.time_offset_sigma'], sizes, shown, working=lambda: progress(*told))
     first = begin(trials)

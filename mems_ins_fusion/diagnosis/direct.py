@@ -1,4 +1,5 @@
-"""What the latest minutes show without a filter of time offsets, antenna and mounting, as findings to be proven.
+"""What the latest minutes show without a filter of time offsets, antenna, mounting and inputs, as findings to be
+proven.
 
 The estimates are those of `configure`; a look at some minutes takes half a second of work, where an analysis of them by
 `diagnose` takes half a minute. So it can be had each minute or sooner, of the latest one alone too: a value that has
@@ -8,11 +9,22 @@ from __future__ import annotations
 
 import math
 
-from ..configuration.check import SMALL_ARM, SMALL_OFFSET, SMALL_TILT, SMALL_YAW, SURE, VAGUE_ARM, clocks_left
-from ..configuration.mounting import estimate_mounting
+from ..configuration.check import (
+    SMALL_ARM,
+    SMALL_OFFSET,
+    SMALL_SHARE,
+    SMALL_TILT,
+    SMALL_YAW,
+    SURE,
+    VAGUE_ARM,
+    clocks_left,
+    shares_left,
+)
+from ..configuration.mounting import Mounting, estimate_mounting
 from ..configuration.offset import FLOOR
-from ..configuration.remaining import ANGLES, ARM, TIME_OFFSET, Remaining, remaining_of
+from ..configuration.remaining import ANGLES, ARM, LOW_PASS, TIME_OFFSET, YAW, Remaining, remaining_of
 from ..effects.registry import effect_called
+from ..filter.runs.usable import usable_fixes
 from ..samples import Recording
 from .estimate import Estimate
 from .findings import Finding
@@ -50,9 +62,8 @@ def _shown(part: Recording, values: dict) -> dict[str, Finding]:
     left = {one.name: one for one in remaining_of(mounting, values)}
     arm = {axis: left[name] for axis, name in zip('xyz', ARM)}
     small = dict(zip(ANGLES, (SMALL_TILT, SMALL_TILT, SMALL_YAW)))
-    clocks = {'gnss': left[TIME_OFFSET], **clocks_left(part, part.imu, mounting, values)}
-    effects = {f'{name}_time_offset': ({'time_offset': clock}, {'time_offset': SMALL_OFFSET})
-               for name, clock in clocks.items()}
+    effects = _of_inputs(part, mounting, values)
+    effects['gnss_time_offset'] = {'time_offset': left[TIME_OFFSET]}, {'time_offset': SMALL_OFFSET}
     effects['gnss_lever_arm'] = arm, dict.fromkeys('xy', SMALL_ARM)  # heights of fixes are too vague for z
     effects['mounting_rotation'] = {name: left[name] for name in ANGLES}, small
     # what was not driven yet may be the slope of the road
@@ -78,13 +89,32 @@ def _as_given(name: str, sizes: dict[str, Remaining], least: dict[str, float], s
     return Finding(name, [name], left, 0.0, 0.0, False, HeldOut(0.0, 1.0, []), settled=settled, since=since)
 
 
+def _of_inputs(part: Recording, mounting: Mounting | None, values: dict) -> dict[str, tuple[dict, dict]]:
+    """By effect: what may be left of the inputs' clocks, low passes, axes and shares of the dynamic pressure, but for
+    what the filter estimates itself, and what of it does not matter."""
+    found: dict[str, tuple[dict, dict]] = {}
+    for name, clock in clocks_left(part, part.imu, mounting, values).items():
+        low_pass = clock.low_pass.left(values[f'{name}.lag']) if clock.low_pass is not None else None
+        if low_pass is not None:
+            sizes = {'delay': clock, 'tau': Remaining(LOW_PASS, low_pass.tau, low_pass.sigma)}
+            found[f'{name}_lag'] = sizes, dict.fromkeys(sizes, 0.0)
+        else:
+            found[f'{name}_time_offset'] = {'time_offset': clock}, {'time_offset': SMALL_OFFSET}
+        if clock.axes:
+            axes = Remaining(YAW, clock.axes.yaw, clock.axes.sigma)
+            found[f'{name}_yaw'] = {'yaw': axes}, {'yaw': SMALL_YAW}
+    for name, share in shares_left(part, usable_fixes(part.gnss), values).items():
+        found[f'{name}_dynamic'] = {'share': share}, {'share': SMALL_SHARE}
+    return {name: of for name, of in found.items() if not effect_called(name).hidden(values, part)}
+
+
 def _finding(name: str, sizes: dict[str, Remaining], values: dict, since: int) -> Finding:
     effect = effect_called(name)
     units = {one.name: one.unit for one in effect.traced}
     adjusted = effect.adjusted(values, {**dict.fromkeys(units, 0.0), **{n: one.value for n, one in sizes.items()}})
     changes = {parameter: value for parameter, value in adjusted.items() if value != values.get(parameter)}
     left = {n: Estimate(one.value, one.sigma, units[n]) for n, one in sizes.items()}
-    least = dict.fromkeys(left.keys() & {'time_offset'}, FLOOR)
+    least = dict.fromkeys(left.keys() & {'time_offset', 'delay'}, FLOOR)
     return Finding(name, [name], left, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=changes, since=since, least=least)
 
 

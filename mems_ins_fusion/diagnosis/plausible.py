@@ -22,7 +22,7 @@ def implausible(effect: str, parameters: Mapping[str, Estimate], shown: Mapping[
     while these are zero within their sigma, is impossible.
     """
     clocks = {name: _CLOCK_SHOWN for name in shown or ()
-              if name.endswith('_time_offset.time_offset') and not name.startswith('gnss_time_offset')}
+              if name.endswith(('_time_offset.time_offset', '_lag.delay')) and not name.startswith('gnss_time_offset')}
     for name, (words, alike) in (_SHOWN | clocks).items():
         own, seen = parameters.get(name.removeprefix(f'{effect}.')), (shown or {}).get(name)
         if seen is None or own is None or own.value is None:

@@ -77,7 +77,7 @@ class Kept:
         """The parameters of the effect as sure as they are at the stamp `now`, ns: the variance grows with the time
         since, as of a random walk."""
         walked = min(max((now - self.found) * 1e-9 / ANOTHER, 0.0), 1.0) if self.found else 0.0
-        scales = {one.name: one.prior_scale for one in effect_called(self.name).parameters}
+        scales = {one.name: one.prior_scale for one in effect_called(self.name).traced}
         return {name: replace(e, sigma=math.hypot(e.sigma, math.sqrt(walked) * scales.get(name, 0.0))) if e.known else e
                 for name, e in self.parameters.items()}
 

@@ -117,8 +117,7 @@ def add_best(known: Known, trials: TrialRuns) -> Known:
             significant.append((TRIED, alone[0], view))
     candidates = sorted((c for c, _ in best.values()), key=lambda c: (c.p, -c.gain))
     known = replace(known, rounds=(*known.rounds, candidates))
-    if not significant:
-        return known
+    best |= {name: (_with_all(best[name][0], known), best[name][1]) for name in trials.certain if name in best}
     # each is fitted from the start where it explains most; first those that explain most of all at a start
     names = [c.name for _, c, _ in sorted(significant, key=lambda found: (found[0], best[found[1].name][0].p))]
     names = list(dict.fromkeys(names))[:MOST_TRIED]
@@ -126,10 +125,22 @@ def add_best(known: Known, trials: TrialRuns) -> Known:
               and plain in best and best[plain][0].p_adjusted <= SIGNIFICANCE]
     # an effect that is large may not show at noise levels that were fitted without it
     names += [name for name, sizes in trials.starts.items() if sizes and name not in names and name in best
-              and best[name][0].scores is not None and (name in trials.certain or not known.rounds[:-1])]
+              and (name in trials.certain or best[name][0].scores is not None and not known.rounds[:-1])]
+    if not names:
+        return known
     others = f' or {len(names) - 1} others' if len(names) > 2 else ''.join(f' or {name}' for name in names[1:])
     trials.searching(f'adding {names[0]}{others}')
     return _with_best_of(known, [best[name] for name in names], candidates, trials)
+
+
+def _with_all(candidate: Candidate, known: Known) -> Candidate:
+    """A candidate that recordings show for certain without a filter, with all its parameters. An input that is far off
+    is refused by the filter, so that innovations show nothing of it until it is nearly right."""
+    if not candidate.undetermined:
+        return candidate
+    unknowns = effect_unknowns(candidate.effect, candidate.fixed, known.problem.attitude)
+    return replace(candidate, unknowns=unknowns, theta=np.zeros(len(unknowns)), sigma=np.full(len(unknowns), np.inf),
+                   undetermined=[])
 
 
 def with_other_mechanization(known: Known, trials: TrialRuns) -> Known:

@@ -14,6 +14,10 @@ from ..configuration.offset import Offset, together
 from ..configuration.regression import weighted
 from ..configuration.remaining import Remaining
 from ..configuration.speed_offset import LowPass
+from ..effects.aiding_lag import AidingLag
+from ..effects.aiding_time_offset import SeveralTimeOffsets
+from ..effects.base import Effect
+from ..effects.registry import effects_of
 from ..recordings.findings import SURE
 from ..samples import Recording
 
@@ -25,7 +29,7 @@ TIME_OFFSET = 'gnss.time_offset'
 class Shown:
     """What all recordings show without a filter. track: time offset, lever arm and smoothing of the receiver; None if
     the fixes do not show them. clocks: by the name of an input, its time offset minus the given one. low_passes: the
-    same, s, for certain, that it comes through and that the given parameters do not have."""
+    same, s, for certain, that it comes through beside that of the given parameters: a part of that offset."""
 
     track: Offset | None = None
     clocks: Mapping[str, Remaining] = field(default_factory=dict)
@@ -35,6 +39,18 @@ class Shown:
     def late(self) -> dict[str, float]:
         """By name of the input: time offsets, s, that are certainly not as given."""
         return {name: left.value for name, left in self.clocks.items() if left.certain(SMALL_OFFSET, SURE)}
+
+    def effects(self, values: dict) -> tuple[Effect, ...]:
+        """All there are for the parameters `values`. What comes through a low pass has its offset with it; several
+        offsets are an effect of their own, too."""
+        found = [effect for effect in effects_of(values)
+                 if effect.name not in {f'{name}_time_offset' for name in self.low_passes}]
+        found = [AidingLag(effect.of, effect.known, effect.of in self.low_passes) if isinstance(effect, AidingLag)
+                 else effect for effect in found]
+        if len(self.late) > 1:
+            found.append(SeveralTimeOffsets(self.late, {name: one.tau for name, one in self.low_passes.items()
+                                                        if name in self.late}))
+        return tuple(found)
 
 
 def shown_without_filter(recordings: Sequence[Recording], values: dict) -> Shown:
@@ -50,8 +66,8 @@ def shown_without_filter(recordings: Sequence[Recording], values: dict) -> Shown
         passes = [p.low_pass for p in parts if p.low_pass is not None]
         if passes:
             one = LowPass(*map(float, weighted(np.array([p.tau for p in passes]), np.array([p.sigma for p in passes]))))
-            if one.certain and one.tau - values[f'{name}.lag'] > SURE * one.sigma:
-                low_passes[name] = one
+            if (beside := one.left(values[f'{name}.lag'])) is not None:
+                low_passes[name] = beside
     return Shown(together([m.offset for m in found if m is not None and m.offset is not None]), clocks, low_passes)
 
 

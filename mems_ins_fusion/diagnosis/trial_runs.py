@@ -81,17 +81,17 @@ class TrialRuns:
             lag = track.smoothing - self.origin.given['gnss.lag_per_acceleration']
             found['gnss_lag.lag'] = Estimate(lag, track.smoothing_sigma, 's^2')
         found |= {f'{name}_lag.tau': Estimate(one.tau, one.sigma, 's') for name, one in self.beside.low_passes.items()}
-        left = {f'{name}.time_offset': one for name, one in self._left.items()}
-        return found | {name: Estimate(one.value, one.sigma, 's') for name, one in left.items()}
+        return found | {name: Estimate(one.value, one.sigma, 's') for name, one in self._left.items()}
 
     @property
     def _left(self) -> dict[str, Remaining]:
-        """By effect: each time offset that the recordings show, minus the given one."""
-        left = {f'{name}_time_offset': clock for name, clock in self.beside.clocks.items()}
+        """By effect and its parameter: each time offset that the recordings show, minus the given one."""
+        left = {f'{name}_lag.delay' if name in self.beside.low_passes else f'{name}_time_offset.time_offset': clock
+                for name, clock in self.beside.clocks.items()}
         track = self.beside.track
         if track is not None and track.shown:
             lag = track.lag - self.origin.given['gnss.time_offset']
-            left['gnss_time_offset'] = Remaining(TIME_OFFSET, lag, track.lag_sigma)
+            left['gnss_time_offset.time_offset'] = Remaining(TIME_OFFSET, lag, track.lag_sigma)
         return left
 
     @property
@@ -99,8 +99,8 @@ class TrialRuns:
         """Names of the effects of time offsets and low passes that the recordings show for certain without a filter,
         beyond the given parameters; first the effect that sets those of several inputs together."""
         together = [effect.name for effect in self.library if isinstance(effect, SeveralTimeOffsets)]
-        return (*together, *(name for name, left in self._left.items() if left.certain(SMALL_OFFSET, SURE)),
-                *(f'{name}_lag' for name in self.beside.low_passes))
+        return (*together, *(name.split('.')[0] for name, left in self._left.items()
+                             if left.certain(SMALL_OFFSET, SURE)))
 
     def told(self, name: str, sizes: dict[str, Estimate]) -> dict[str, Estimate]:
         """The `sizes` to report of an effect that is not added: what the recordings show for certain is reported as
@@ -112,7 +112,8 @@ class TrialRuns:
         sets."""
         several = {name for effect in self.library if isinstance(effect, SeveralTimeOffsets) and effect.name in added
                    for name in effect.known}
-        return tuple(name for name in self.beside.late if name not in several and f'{name}_time_offset' not in added)
+        return tuple(name for name in self.beside.late if name not in several
+                     and not {f'{name}_time_offset', f'{name}_lag'} & set(added))
 
     @cached_property
     def turned(self) -> Estimate | None:

@@ -1,6 +1,7 @@
 """Time offset of the inputs besides the fixes, such as wheels that report late, or a velocity with another clock."""
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
@@ -37,10 +38,17 @@ def missing(name: str, values: Mapping, recording) -> str:
     return '' if there else f'no {name} in the recording ({name}_topic)'
 
 
+def hidden_by_state(of: str, deviation: str, least: float, values: Mapping, recording) -> str:
+    """Why the innovations have nothing of an effect of the input `of`; empty where they may have. The filter estimates
+    it where `deviation`, the parameter of what is left of it, is more than `least`: less is no matter."""
+    return missing(of, values, recording) or (
+        f'the filter estimates it ({deviation})' if values[deviation] > least else '')
+
+
 class SeveralTimeOffsets(Effect):
-    """Time offsets of several inputs that are known without a filter, corrected together: if two inputs are late, the
-    correction of one alone would not agree with the other. Only a common factor of the known sizes is estimated; it is
-    1 where they are right."""
+    """Time offsets of several inputs that are known without a filter, with the low passes that are a part of them,
+    corrected together: if two inputs are late, the correction of one alone would not agree with the other. Only a
+    common factor of the known sizes is estimated; it is 1 where they are right."""
 
     signature = 'innovations along the track at each change of speed, in proportion to the acceleration'
     in_words = 'the stamps of several inputs are off'
@@ -48,9 +56,10 @@ class SeveralTimeOffsets(Effect):
     sizes = {'share': ('{} of the offsets that the IMU shows', '{} of the opposite of what the IMU shows')}
     parameters = (EffectParameter('share', '-', 1.0),)
 
-    def __init__(self, sizes: Mapping[str, float]):
-        """sizes: s, by the inputs' names."""
+    def __init__(self, sizes: Mapping[str, float], low_passes: Mapping[str, float] | None = None):
+        """sizes: s, by the inputs' names; low_passes: time constants, s, of those of them that have one."""
         self.known, self.name = dict(sizes), f'{AND.join(sizes)}_time_offset'
+        self.low_passes = low_passes or {}
 
     def hidden(self, values, recording):
         return next((why for name in self.known if (why := time_offset_of(name).hidden(values, recording))), '')
@@ -58,6 +67,8 @@ class SeveralTimeOffsets(Effect):
     def adjusted(self, values, theta):
         for name, size in self.known.items():
             values = added(values, f'{name}.time_offset', change=theta['share'] * size)
+        for name, tau in self.low_passes.items():
+            values = {**values, f'{name}.lag': math.hypot(values[f'{name}.lag'], theta['share'] * tau)}
         return values
 
 

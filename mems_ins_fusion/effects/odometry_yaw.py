@@ -1,7 +1,7 @@
 """Mounting of an odometry: the axes in which it says its velocity are turned against the vehicle's."""
 from __future__ import annotations
 
-from mems_ins_fusion.effects.aiding_time_offset import missing
+from mems_ins_fusion.effects.aiding_time_offset import hidden_by_state
 from mems_ins_fusion.effects.base import Effect, EffectParameter
 
 #: rad; the filter estimates it where what is left beside the parameter is more than this
@@ -26,6 +26,4 @@ class OdometryYaw(Effect):
         return values['yaw'] if name == self.of else 0.0
 
     def hidden(self, values, recording):
-        if values[f'{self.of}.yaw_sigma'] > ESTIMATED:
-            return f'the filter estimates it ({self.of}.yaw_sigma)'
-        return missing(self.of, values, recording)
+        return hidden_by_state(self.of, f'{self.of}.yaw_sigma', ESTIMATED, values, recording)

@@ -1,7 +1,7 @@
 """Dynamic pressure: a barometer in a moving vehicle measures the flow of the air, too."""
 from __future__ import annotations
 
-from mems_ins_fusion.effects.aiding_time_offset import missing
+from mems_ins_fusion.effects.aiding_time_offset import hidden_by_state
 from mems_ins_fusion.effects.base import Effect, EffectParameter
 
 #: the filter estimates the share where more than this is left beside the parameter
@@ -26,6 +26,4 @@ class PressureDynamic(Effect):
         return values['share'] if name == self.of else 0.0
 
     def hidden(self, values, recording):
-        if values[f'{self.of}.dynamic_sigma'] > ESTIMATED:
-            return f'the filter estimates it ({self.of}.dynamic_sigma)'
-        return missing(self.of, values, recording)
+        return hidden_by_state(self.of, f'{self.of}.dynamic_sigma', ESTIMATED, values, recording)

@@ -1,6 +1,7 @@
 """Wheel speed scale factor error: tyres of another size or pressure."""
 from __future__ import annotations
 
+from mems_ins_fusion.effects.aiding_time_offset import hidden_by_state
 from mems_ins_fusion.effects.base import Effect, EffectParameter
 
 
@@ -19,8 +20,4 @@ class SpeedScale(Effect):
         return (1 + values['scale']) * speed
 
     def hidden(self, values, recording):
-        if recording.speed is None:
-            return 'no speed in the recording (speed_topic)'
-        if values['speed.scale_sigma'] > 0:
-            return 'the filter estimates it (speed.scale_sigma)'
-        return ''
+        return hidden_by_state('speed', 'speed.scale_sigma', 0.0, values, recording)

@@ -18,6 +18,7 @@ from mems_ins_fusion.filter.start.course import FASTEST
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.aiding import check_aiding
+from mems_ins_fusion.recordings.claims import misplaced_covariances
 from mems_ins_fusion.recordings.findings import ERROR, INFO, SURE, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import (
     UNSTATED_SIGMA,
@@ -68,7 +69,8 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
     imu, still = _as_declared(imu, values), find_standstill(imu, good)
     findings += [*check_units(imu, good, values, still), *_check_rest(imu, still)]
     if good is not None:
-        findings += [*_check_frozen(good, imu, still), *_check_jumps(good, values.get('gnss.robust_sigma', 0.0) > 0)]
+        findings += [*_check_claims(good), *_check_frozen(good, imu, still),
+                     *_check_jumps(good, values.get('gnss.robust_sigma', 0.0) > 0)]
     return findings
 
 
@@ -258,6 +260,15 @@ def _check_rest(imu, still):
         if np.abs(bias).max() > 0.05:
             yield Finding(WARNING, 'imu', f'the gyroscopes show {np.abs(bias).max():.3g} rad/s at rest: a large bias, '
                           'or deg/s instead of rad/s', {'bias': bias.tolist()})
+
+
+def _check_claims(fixes: Fixes):
+    """Whether covariances are those of other fixes."""
+    seen = misplaced_covariances(fixes)
+    if seen is not None:
+        where = f'{count_of(abs(seen.late), "message")} {"before" if seen.late > 0 else "after"} its own'
+        yield Finding(WARNING, 'gnss', f'the covariance in a message fits the fix {where}: the driver puts together '
+                      'what belongs to different epochs', {'late_messages': seen.late, 'gain': seen.gain})
 
 
 def _check_frozen(fixes, imu, still):
