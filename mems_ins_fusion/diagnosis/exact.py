@@ -21,8 +21,8 @@ from .tracing import effect_unknowns
 
 #: effects that shift fixes along the track: an error of one of them changes the estimates of the others
 TOGETHER = 'gnss_time_offset', 'gnss_lever_arm', 'gnss_lag'
-#: those of TOGETHER whose uncertainty is included if they are not fitted. That of the receiver's smoothing is already in
-#: the sigma of the offset, if the track does not distinguish the two (`Offset.undecided`)
+#: those of TOGETHER whose uncertainty is included if they are not fitted. That of the receiver's smoothing is already
+#: in the sigma of the offset, if the track does not distinguish the two (`Offset.undecided`)
 HELD = 'gnss_time_offset', 'gnss_lever_arm'
 LONGEST_SMOOTHING = 10.0  # s, longest time over which a receiver smooths its positions
 
