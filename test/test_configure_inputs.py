@@ -118,7 +118,7 @@ def test_a_car_with_a_speed_a_velocity_and_a_heading_is_set_up_from_a_bag(per, t
                         'heading': replace(heading, yaw=heading.yaw + 1.0)})
     path = written(made, values, tmp_path / 'car', speed_topic='/can/speed', velocity_topic='/receiver/vel',
                    heading_topic='/gps/heading')
-    found, _ = settings_of(path)
+    found, why = settings_of(path)
     # then each is what it is, though speed and velocity have one type of message
     assert found['speed_topic'] == '/can/speed' and found['velocity_topic'] == '/receiver/vel'
     assert found['speed.factor'] == pytest.approx(1.0 / per, rel=0.03)
@@ -126,6 +126,8 @@ def test_a_car_with_a_speed_a_velocity_and_a_heading_is_set_up_from_a_bag(per, t
     assert found['velocity.time_offset'] == pytest.approx(0.5, abs=0.1)
     assert found['heading_topic'] == '/gps/heading' and found['heading.offset'] == pytest.approx(1.0, abs=0.05)
     assert found['heading.time_offset'] == pytest.approx(0.4, abs=0.05)
+    # and that the heading's topic, which is of the IMU's type, is no IMU does not read as if it were useless
+    assert '0% usable as an IMU' in why['imu_topic']
 
 
 def test_the_wheels_of_both_sides_have_names_and_places(tmp_path):

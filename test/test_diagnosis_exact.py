@@ -11,7 +11,7 @@ from mems_ins_fusion.configuration.offset import Offset
 from mems_ins_fusion.diagnosis import conclusion, exact
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.estimate import Estimate
-from mems_ins_fusion.diagnosis.exact import HELD, of_what_is_held
+from mems_ins_fusion.diagnosis.exact import HELD, with_what_is_held
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.fit import fit
 from mems_ins_fusion.diagnosis.held_out import HeldOut
@@ -46,45 +46,64 @@ def track(lag=0.0, lag_sigma=0.0, arm=(0.0, 0.0, 0.0), arm_sigma=(0.0, 0.0, 0.0)
     return Offset(lag, lag_sigma, np.array(arm), np.array(arm_sigma), 0.0, 0.0)
 
 
+def jointly(recording, offset_prior, arm_prior):
+    """Offset and arm of a fit of both, with these standard deviations beforehand; and their sigmas."""
+    problem = Problem(recording, table.check({}))
+    unknowns = [replace(u, prior=prior) for name, prior in zip(HELD, (offset_prior, arm_prior))
+                for u in effect_unknowns(EFFECTS[name], {}, problem.attitude)]
+    model = fit(problem, unknowns, np.zeros(len(unknowns)))
+    return model.x, model.sigma()
+
+
 def test_an_arm_that_is_not_known_is_in_the_sigma_of_an_offset(drive):
-    # given the offset fitted with the antenna on the IMU, and where it is; the clocks agree
+    # given the offset fitted with the antenna on the IMU, where it is not, and a fit of both
     held, given = fitted(drive, 0.0)
+    values, joint = jointly(drive, 10.0, ARM)
+    # when nothing else shows the offset, then it is as unsure as in a fit of both, and as far off as that moves it
+    sigma = with_what_is_held(held, track(5.0, arm_sigma=[ARM] * 3), given)[0]
+    assert sigma == pytest.approx(np.hypot(held.x[0] - values[0], joint[0]), rel=0.1)
+    assert sigma > 1.5 * held.sigma()[0] and abs(held.x[0]) < 2.0 * sigma
+    # whether the size of the arm is an estimate or its sigma; without a track it may be a metre
+    assert with_what_is_held(held, track(5.0, arm=[ARM] * 3), given)[0] == pytest.approx(sigma)
+    assert with_what_is_held(held, None, given)[0] == pytest.approx(sigma, rel=0.3)
+
+
+def test_an_arm_that_is_stated_was_measured_as_well_as_its_sigma_says(drive):
+    # given the offset fitted with the antenna where it is
     right, stated = fitted(drive, ARM)
-    moved = held.x[0] - right.x[0]
-    assert abs(right.x[0]) < 3.0 * right.sigma()[0] and abs(moved) > 3.0 * held.sigma()[0]
-    # when the track shows another offset, and an arm of that size
-    further = of_what_is_held(held, track(1.0, arm=[ARM, 0.0, 0.0]), given)
-    # then by how much that moves the offset is known before
-    assert further[0] == pytest.approx(abs(moved), rel=0.3)
-    # whether the size is an estimate or its sigma, and with both it is more
-    assert of_what_is_held(held, track(1.0, arm_sigma=[ARM, 0.0, 0.0]), given) == pytest.approx(further)
-    assert of_what_is_held(held, track(1.0, arm=[ARM, 0.0, 0.0], arm_sigma=[ARM, 0.0, 0.0]), given) == pytest.approx(
-        np.sqrt(2.0) * further, rel=0.01)
-    # an arm that is stated was measured, as well as its sigma says, and one that nothing shows may be a metre
-    assert of_what_is_held(right, track(1.0, arm=[ARM, 0.0, 0.0]), stated)[0] == 0.0
-    roughly = of_what_is_held(right, track(1.0, arm=[ARM, 0.0, 0.0]), stated | {'gnss.lever_arm_sigma': ARM / 3.0})
-    assert roughly[0] == pytest.approx(abs(moved) / 3.0, rel=0.3)
-    assert of_what_is_held(held, None, given)[0] > 0.99 * further[0] / ARM
+    exactly, by_tape, roughly = (with_what_is_held(
+        right, track(5.0, arm=[ARM, 0.0, 0.0]), stated | {'gnss.lever_arm_sigma': size})[0] for size in (0.0, 0.2, 5.0))
+    # then decimetres count, and metres as in a fit of both
+    values, joint = jointly(drive, 10.0, 5.0)
+    assert exactly == right.sigma()[0] < by_tape < 1.5 * exactly < roughly
+    assert roughly == pytest.approx(np.hypot(right.x[0] - values[0], joint[0]), rel=0.1)
 
 
-def test_an_offset_that_the_track_shows_too_is_not_one_of_an_arm(drive):
-    # given an arm of which nothing is known, and a track that shows nearly that offset, or that within its sigma
+def test_an_offset_that_the_track_shows_too_is_known_as_well_as_by_that(drive):
+    # given an arm of which nothing is known, and a track that shows another offset, precisely or not
     held, given = fitted(drive, 0.0)
-    for shown, expected in ((track(held.x[0] + 0.01, arm_sigma=[ARM] * 3), 0.01),
-                            (track(held.x[0] + 0.05, 0.03, arm_sigma=[ARM] * 3), 0.04),
-                            (track(held.x[0] + 0.05, 0.06, arm_sigma=[ARM] * 3), 0.0)):
-        # then it is off by no more than that
-        assert of_what_is_held(held, shown, given)[0] == pytest.approx(expected)
+    for away, precision, expected in ((0.05, 0.0, 0.05), (0.04, 0.03, 0.05), (0.0, 0.05, 0.05)):
+        shown = track(held.x[0] + away, precision, arm_sigma=[ARM] * 3)
+        # then it is known to both together
+        assert with_what_is_held(held, shown, given)[0] == pytest.approx(max(expected, held.sigma()[0]))
+
+
+def test_a_vague_track_that_agrees_by_chance_does_not_make_an_offset_surer(drive):
+    held, given = fitted(drive, 0.0)
+    alone = with_what_is_held(held, None, given)[0]
+    assert with_what_is_held(held, track(held.x[0], 1.0, arm_sigma=[1.0] * 3), given)[0] == pytest.approx(alone)
 
 
 def test_an_offset_that_is_not_known_is_in_the_sigma_of_an_arm(drive):
     arm, given = fitted(drive, 0.0, 'gnss_lever_arm')
-    assert not of_what_is_held(arm, track(arm=[9.0] * 3), given).any()
-    late = of_what_is_held(arm, track(lag=0.2, arm=[9.0] * 3), given)
-    # forwards by some part of the way that a car goes in that time, and sideways by little
-    other, _ = fitted(drive, 0.0, 'gnss_lever_arm', offset=0.2)
-    assert late[0] == pytest.approx(abs(other.x[0] - arm.x[0]), rel=0.3) and 10.0 * late[1] < late[0]
-    assert of_what_is_held(arm, track(lag=0.2, arm=[9.0] * 3), given | {'gnss.time_offset': 0.2}) == pytest.approx(0.0)
+    assert with_what_is_held(arm, track(arm=[9.0] * 3), given) == pytest.approx(arm.sigma())
+    late = with_what_is_held(arm, track(lag=0.2, arm=[99.0] * 3), given)
+    # given the same of a fit of both, then forwards it is less sure, and sideways hardly
+    _, joint = jointly(drive, 0.2, 10.0)
+    assert late[0] > 1.2 * arm.sigma()[0] and late[1] < 1.1 * arm.sigma()[1]
+    assert late[0] == pytest.approx(joint[1], rel=0.5)
+    assert with_what_is_held(arm, track(lag=0.2, arm=[9.0] * 3),
+                             given | {'gnss.time_offset': 0.2}) == pytest.approx(arm.sigma())
 
 
 def test_what_is_fitted_too_is_not_held(drive):
@@ -93,7 +112,7 @@ def test_what_is_fitted_too_is_not_held(drive):
     problem = Problem(drive, given)
     unknowns = [u for name in HELD for u in effect_unknowns(EFFECTS[name], {}, problem.attitude)]
     both = fit(problem, unknowns, np.zeros(len(unknowns)))
-    assert not of_what_is_held(both, track(1.0, arm=[9.0] * 3), given).any()
+    assert np.array_equal(with_what_is_held(both, track(1.0, arm=[9.0] * 3), given), both.sigma())
 
 
 def test_what_is_held_is_in_the_sigma_of_what_is_set(drive, monkeypatch):
@@ -106,15 +125,15 @@ def test_what_is_held_is_in_the_sigma_of_what_is_set(drive, monkeypatch):
                              beside=SimpleNamespace(track=shown))
     monkeypatch.setattr(conclusion, 'by_drive_of', lambda *model_and_unknowns: ({}, False))
     [said] = conclusion._final_findings(SimpleNamespace(model=model, findings=[finding], noise=0), {}, given, trials)
-    further = of_what_is_held(model, shown, given)[0]
-    assert further > 0.05 and further < said.parameters['time_offset'].sigma < 1.2 * np.hypot(further, model.sigma()[0])
+    further = with_what_is_held(model, shown, given)[0]
+    assert further > 0.05 and further < said.parameters['time_offset'].sigma < 1.2 * further
 
 
 def test_an_effect_is_plain_with_what_is_held_unless_it_shows_for_certain_without_a_filter(drive, monkeypatch):
     # given fixes 0.5 s late, and an arm that leaves a second of that open
     late = replace(drive, gnss=replace(drive.gnss, stamp=drive.gnss.stamp + 500_000_000))
     effects = [EFFECTS['gnss_time_offset']]
-    monkeypatch.setattr(exact, 'of_what_is_held', lambda model, *known: np.ones(len(model.unknowns)))
+    monkeypatch.setattr(exact, 'with_what_is_held', lambda model, *known: np.ones(len(model.unknowns)))
     # then an offset is set that shows for certain between the fixes, too, and no other
     assert diagnose(late, table.check({}), effects=effects, durations=(10.0,)).corrected['gnss.time_offset'] > 0.2
     monkeypatch.setattr(TrialRuns, 'certain', ())
@@ -123,5 +142,4 @@ def test_an_effect_is_plain_with_what_is_held_unless_it_shows_for_certain_withou
 
 def test_other_effects_are_left_alone(drive):
     model, given = fitted(drive, 0.0, 'accelerometer_scale')
-    assert not of_what_is_held(model, track(lag=1.0), given).any()
-    assert not of_what_is_held(SimpleNamespace(unknowns=[]), track(lag=1.0), given).any()
+    assert np.array_equal(with_what_is_held(model, track(lag=1.0), given), model.sigma())

@@ -11,10 +11,12 @@ import pytest
 from mems_ins_fusion.diagnosis.clock import lateness, lateness_against, whose
 from mems_ins_fusion.diagnosis.drives import Drives
 from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.fit import fit
 from mems_ins_fusion.diagnosis.held_out import held_out
 from mems_ins_fusion.diagnosis.judgement import compared, harm
 from mems_ins_fusion.diagnosis.learned_mounting import angles
 from mems_ins_fusion.diagnosis.measured import fairly, measure
+from mems_ins_fusion.diagnosis.noise import calibrated, noise_unknowns
 from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, believed, stated, without_adaptation
 from mems_ins_fusion.diagnosis.trial_runs import FOR_EFFECTS, FOR_LEVELS, REPORTED, TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
@@ -40,6 +42,16 @@ def recorded(duration=120.0, sigma=0.5, effects=()):
 def late():
     """Fixes stamped OFFSET late; the reference is in the IMU's clock."""
     return recorded(effects=[('gnss_time_offset', {'time_offset': OFFSET})])
+
+
+def test_a_search_makes_a_constraint_no_stricter_than_configured(late):
+    # given a vehicle that never slides
+    problem = Problem(late, table.check({}))
+    noise = noise_unknowns(problem)
+    model = fit(problem, noise, calibrated(problem, noise))
+    # then other levels may become smaller, and this one stands for every road
+    levels = dict(zip((u.name for u in noise), model.x))
+    assert levels['vehicle.non_holonomic_sigma'] == 0.0 and min(levels.values()) < 0.0
 
 
 def in_receivers_clock(recording):

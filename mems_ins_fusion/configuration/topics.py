@@ -49,7 +49,8 @@ class Candidate:
         """What it carries, in a few words."""
         words = [f'{self.messages} messages, {self.rate:.3g} Hz']
         if self.usable < 0.995:
-            words.append(f'{self.usable:.0%} usable')
+            what = 'as an IMU' if isinstance(self.samples, ImuSamples) else 'as fixes'
+            words.append(f'{self.usable:.0%} usable {what}')
         if self.jitter > 0.02:
             words.append(f'intervals scatter by {self.jitter:.0%}')
         if np.isfinite(self.sigma):

@@ -60,7 +60,8 @@ class Drives:
         """The same drives, `recordings`, with other parameters given; the work it makes counts with that of this."""
         others = []
         for old, recording in zip(self.each, recordings):
-            other = Problem(recording, values)
+            offsets = [one['gnss.time_offset'] for one in old.others]
+            other = Problem(recording, values, others=[{**values, 'gnss.time_offset': offset} for offset in offsets])
             other.runs = old.runs
             others.append(other)
         return self._made(others).without(self.outlying)

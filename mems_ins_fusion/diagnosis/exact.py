@@ -7,7 +7,7 @@ so its own sigma is too small.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,14 +15,14 @@ import numpy as np
 from ..configuration.offset import FLOOR, Offset
 from ..effects.registry import EFFECTS
 from .estimate import SYSTEMATIC
-from .fit import Model, scores
+from .fit import Model, Scores, priors, scores
 from .problem import Unknown
 from .tracing import effect_unknowns
 
 #: effects that shift fixes along the track: an error of one of them changes the estimates of the others
 TOGETHER = 'gnss_time_offset', 'gnss_lever_arm', 'gnss_lag'
-#: those of TOGETHER whose uncertainty is added if they are not fitted. That of the receiver's smoothing is already in
-#: the sigma of the offset, if the track does not distinguish the two (`Offset.undecided`)
+#: those of TOGETHER whose uncertainty is included if they are not fitted. That of the receiver's smoothing is already
+#: in the sigma of the offset, if the track does not distinguish the two (`Offset.undecided`)
 HELD = 'gnss_time_offset', 'gnss_lever_arm'
 LONGEST_SMOOTHING = 10.0  # s, longest time over which a receiver smooths its positions
 
@@ -30,11 +30,11 @@ LONGEST_SMOOTHING = 10.0  # s, longest time over which a receiver smooths its po
 def sigmas(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:
     """Standard deviations (p,) of the unknowns of `model`, for the decision on effects and for the report.
 
-    track, given: as for `of_what_is_held`.
+    track, given: as for `with_what_is_held`.
     """
     receiver = [of_receiver(model, track) if u.effect == 'gnss_time_offset' and not u.noise else 0.0
                 for u in model.unknowns]
-    return np.hypot(np.hypot(model.sigma(), of_what_is_held(model, track, given)), receiver)
+    return np.hypot(with_what_is_held(model, track, given), receiver)
 
 
 def of_receiver(model: Model, track: Offset | None) -> float:
@@ -48,38 +48,49 @@ def of_receiver(model: Model, track: Offset | None) -> float:
     return math.hypot(SYSTEMATIC * smoothed, undecided, FLOOR)
 
 
-def of_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:
-    """Standard deviations (p,) to be added to those of `model`: the effect on its time offset, lever arm and smoothing
-    of errors of those of HELD that it does not fit. Zero for all other unknowns.
+def with_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:
+    """Standard deviations (p,) of the unknowns of `model`; those of its time offset, lever arm and smoothing include
+    that those of HELD that it does not fit may differ from `given`.
 
-    track: time offset, lever arm and smoothing that the recordings show without a filter, estimated together. An added
-    sigma is therefore at most the difference between the value of `model` and that of the track, beyond its sigma.
+    Two bounds, of which the smaller counts. The fit: the marginal standard deviation if these were fitted as well,
+    with their uncertainty beforehand as the prior, and by how much that would change the value. The track (time offset,
+    lever arm and smoothing that the recordings show without a filter, estimated together): the difference from its
+    value and its standard deviation.
     """
-    further = np.zeros(len(model.unknowns))
+    sigma = model.sigma()
     own = [i for i, u in enumerate(model.unknowns) if u.effect in TOGETHER and not u.noise]
     if not own:
-        return further
+        return sigma
     there = {u.name for u in model.unknowns}
-    held = [(u, size) for name in HELD for u in effect_unknowns(EFFECTS[name], {}, model.problem.attitude)
+    held = [replace(u, step=size, prior=size) for name in HELD
+            for u in effect_unknowns(EFFECTS[name], {}, model.problem.attitude)
             if u.name not in there and (size := _doubt(u, track, given)) > 0.0]
     if not held:
-        return further
-    # finite differences of that size: with smaller ones, at walking speed, single standstills cause steps
-    unknowns, sizes = [replace(u, step=size) for u, size in held], np.array([size for _, size in held])
-    _, other = scores(model.moved(), unknowns, np.zeros(len(unknowns)), model.residual, quick=True)
-    moves = model.covariance @ model.scores.information(model.problem.mask, other)  # of each by one unit of those held
+        return sigma
+    # finite differences of the size of the prior: with smaller ones, at walking speed, single standstills cause steps
+    _, other = scores(model.moved(), held, np.zeros(len(held)), model.residual, quick=True)
+    joint = _joint(model, held, other)
+    change = joint.covariance @ np.append(np.zeros(len(model.x)), other.gradient(model.problem.mask))
+    marginal = np.hypot(joint.sigma(), change)
     for i in own:
-        further[i] = min(float(np.linalg.norm(moves[i] * sizes)), _apart(model.unknowns[i], model.x[i], track, given))
-    return further
+        sigma[i] = max(sigma[i], min(marginal[i], _by_track(model.unknowns[i], model.x[i], track, given)))
+    return sigma
 
 
-def _apart(unknown: Unknown, x: float, track: Offset | None, given: Mapping) -> float:
-    """Difference between `x` and the value of `unknown` from the track, beyond the track's sigma; inf without a
-    track."""
+def _joint(model: Model, held: Sequence[Unknown], other: Scores) -> Model:
+    """`model` with the unknowns `held` at zero as well, whose scores are `other`."""
+    unknowns, joined = [*model.unknowns, *held], model.scores.joined(other)
+    _, prior = priors(unknowns)
+    return replace(model, unknowns=unknowns, x=np.append(model.x, np.zeros(len(held))), scores=joined,
+                   covariance=np.linalg.inv(joined.information(model.problem.mask) + np.diag(1 / prior**2)))
+
+
+def _by_track(unknown: Unknown, x: float, track: Offset | None, given: Mapping) -> float:
+    """Standard deviation of `x` by the value of `unknown` from the track; inf without a track."""
     if track is None:
         return math.inf
     value, sigma = _shown(unknown, track, given)
-    return math.sqrt(max((x - value) ** 2 - sigma**2, 0.0))
+    return math.hypot(x - value, sigma)
 
 
 def _shown(unknown: Unknown, track: Offset, given: Mapping) -> tuple[float, float]:

@@ -20,6 +20,9 @@ RECEIVER_PRIOR = 1.5
 SMALLEST_FACTOR = 3.0  # largest factor by which a fit makes a noise level smaller
 LARGEST_FACTOR = 10.0  # largest factor by which it makes that of a sensor larger: more is not noise of the sensor
 LARGEST_RECEIVER = 100.0  # the same for the receiver
+#: levels that no drive makes smaller: the sigma of a constraint is a bound for every road. A drive on which the vehicle
+#: hardly slides asks for none at all, and its other unknowns are then fitted to a constraint that is too strict
+ONLY_LARGER = 'vehicle.non_holonomic_sigma',
 
 
 def noise_unknowns(problem: Problem) -> list[Unknown]:
@@ -35,7 +38,8 @@ def noise_unknowns(problem: Problem) -> list[Unknown]:
     if problem.values['vehicle.non_holonomic']:
         groups['vehicle.non_holonomic_sigma'] = ['vehicle.non_holonomic_sigma']
     sensors = [Unknown(name, _scaled(names), 0.0, 0.05, NOISE_PRIOR, one_sided=True, noise=True,
-                       bounds=(-np.log(SMALLEST_FACTOR), np.log(LARGEST_FACTOR))) for name, names in groups.items()]
+                       bounds=(0.0 if name in ONLY_LARGER else -np.log(SMALLEST_FACTOR), np.log(LARGEST_FACTOR)))
+               for name, names in groups.items()]
     return [Unknown('gnss.sigma', receiver, 0.0, 0.05, RECEIVER_PRIOR, one_sided=True, noise=True,
                     bounds=(-np.log(SMALLEST_FACTOR), np.log(LARGEST_RECEIVER))), *sensors]
 

@@ -13,16 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from .measured import Measured
-from .noise import LARGEST_FACTOR, MODEL_NOISE, scaled
+from .noise import LARGEST_FACTOR, MODEL_NOISE, ONLY_LARGER, scaled
 
 STEP = float(np.sqrt(10.0))  # ratio of successive factors that are tried
 #: smallest gain in log likelihood of one horizon for each step of a level: a smaller one is not worth a change
 WORTH = 3.0
 SWEEPS = 2  # number of passes over all levels
-#: largest number of steps, to LARGEST_FACTOR. The sigma of a constraint must hold on every road, so it is not made
-#: smaller after one drive
-MOST_STEPS = round(np.log(LARGEST_FACTOR) / np.log(STEP))
-STEPS = {'vehicle.non_holonomic_sigma': (0, 1)}
+MOST_STEPS = round(np.log(LARGEST_FACTOR) / np.log(STEP))  # largest number of steps, to LARGEST_FACTOR
+STEPS = dict.fromkeys(ONLY_LARGER, (0, 1))  # smallest and largest number, where that is another one
 
 
 @dataclass(frozen=True)

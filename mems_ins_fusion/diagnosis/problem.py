@@ -119,7 +119,7 @@ class Problem:
 
     def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL,
                  others: Sequence[dict] = ()):
-        self.reference_clock = GNSS if recording.reference is None else IMU
+        self.reference_clock, self.others = GNSS if recording.reference is None else IMU, tuple(others)
         self.given = {**values, **exact_offsets(values)}
         self.values = without_adaptation(values, recording)
         given = FilterConfig.from_parameters(self.given)
