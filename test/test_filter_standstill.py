@@ -95,6 +95,16 @@ def test_a_vehicle_that_stands_does_not_gain_speed_without_accelerating():
     assert np.abs(velocity[(time > 10.0) & (time < 85.0)]).max() < 0.05
 
 
+def test_gyroscopes_that_show_zeros_only_and_are_configured_without_noise_do_no_harm():
+    # given a minute at rest with gyroscopes that are dead, and no noise of theirs in the parameters
+    config = configure({'mechanization': 'planar', 'vehicle.zero_velocity': True, 'gyroscope.noise_density': [0.0]})
+    memory, samples = started(config, velocity=(0.0, 0.0, 0.0)), quiet(60, np.random.default_rng(6))
+    samples[:, 4:] = 0.0
+    rows, _ = take_all(memory, samples, fixes_of(np.zeros(60), 1.0, 1.5), [Nav.LATITUDE, Nav.V_N])
+    # then the state stays finite, and at rest
+    assert np.isfinite(rows).all() and np.abs(rows[500:, 1]).max() < 0.02
+
+
 def test_what_is_certainly_slow_for_seconds_shows_how_quiet_the_vehicle_is_in_motion():
     # given a robot that goes at 0.3 m/s, certainly at first, and is as quiet as others at rest
     time = 0.01 * np.arange(6000)

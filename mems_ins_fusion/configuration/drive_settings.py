@@ -213,7 +213,8 @@ def _noise_settings(drives, mounting):
     if best is not None:
         why = f'{best.seconds:.0f} s at rest, the quietest axis; to {best.part:.0%}'
         for sensor, density in (('accelerometer', best.force_density), ('gyroscope', best.rate_density)):
-            yield Setting(f'{sensor}.noise_density', _significant(density), (why,))
+            if min(density) > 0.0:  # a sensor that shows nothing has no noise to be configured
+                yield Setting(f'{sensor}.noise_density', _significant(density), (why,))
         sigma = ', '.join(f'{s:.1g}' for s in best.bias_sigma)
         yield Setting('gyroscope.bias', _significant(best.bias), (
             f'mean over {best.seconds:.0f} s at rest, sigma {sigma} rad/s; the next start has another one',))

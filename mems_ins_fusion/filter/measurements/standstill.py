@@ -7,6 +7,11 @@ from ..memory import WHITE, Error, Event, Head, Nav, Sample, channel_of, row_of
 from .geometry import add
 
 
+#: rad/s (0.2 deg/h), smallest standard deviation of an angular rate at a standstill: less than any gyroscope resolves.
+#: One that shows zeros only, and is configured without noise, would have none
+SMALLEST_RATE_SIGMA = 1e-6
+
+
 @njit(_nrt=False)
 def observe_velocity(mem, r, at, h, n):
     """Zero velocity. Returns the number of components."""
@@ -39,4 +44,5 @@ def observe_rate(mem, at, h, n, sample):
 def _variance(mem, axis, sample):
     """Variance of one gyroscope sample: white noise, or the scatter of the samples where the engine's vibration makes
     it larger."""
-    return max(mem[WHITE + 3 + axis] / mem[sample + Sample.INTERVAL], mem[sample + Sample.RATE_SCATTER])
+    return max(mem[WHITE + 3 + axis] / mem[sample + Sample.INTERVAL], mem[sample + Sample.RATE_SCATTER],
+               SMALLEST_RATE_SIGMA**2)
