@@ -112,5 +112,20 @@ def test_what_is_certainly_slow_for_seconds_shows_how_quiet_the_vehicle_is_in_mo
     sample, flags = sample_at(memory, 1), np.zeros(len(time), dtype=bool)
     for k in range(1, len(time)):
         memory[sample + Sample.F_X] = 0.02 * np.sin(3.0 * time[k])
-        flags[k] = is_still(memory, sample, 0.01, 0.25 if time[k] < 30.0 else 0.0, False)
+        flags[k] = is_still(memory, sample, 0.01, 0.25 if time[k] < 30.0 else 0.0, 0.0, False)
     assert flags[(time > 1.6) & (time < 2.9)].any() and not flags[time > 10.0].any()
+
+
+def test_a_stop_that_passes_for_slow_motion_does_not_hide_the_next_one():
+    # given a car that stops twice for 8 s, and a filter that takes it for 1.4 +- 0.4 m/s for the first time
+    time = 0.01 * np.arange(8000)
+    stops = [(time > begin) & (time < begin + 8.0) for begin in (30.0, 60.0)]
+    force = np.where(stops[0] | stops[1], 0.01, 0.1) * np.sin(3.0 * time)
+    speed = np.where(stops[0], 0.6, np.where(stops[1], 0.0, 9.8))
+    memory = configure({'mechanization': 'planar', 'vehicle.zero_velocity': True}).memory()
+    sample, flags = sample_at(memory, 1), np.zeros(len(time), dtype=bool)
+    for k in range(1, len(time)):
+        memory[sample + Sample.F_X] = force[k]
+        flags[k] = is_still(memory, sample, 0.01, speed[k], 0.4 if stops[0][k] else 0.1, False)
+    # then the second one is seen, but for its first seconds
+    assert flags[stops[1] & (time > 63.5)].all() and not flags[~(stops[0] | stops[1])].any()

@@ -35,6 +35,7 @@ from .memory import (
     state_at,
     state_before,
     time_of,
+    velocity_variance,
 )
 from .prediction import allow_for_restart, predict
 from .trust import imu_faults
@@ -160,7 +161,8 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
-        memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed, bridged)
+        sigma = math.sqrt(velocity_variance(memory, before))
+        memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed, sigma, bridged)
         if imu_faults.is_stuck(memory, dt):  # a stuck accelerometer looks still although the vehicle may move
             memory[sample + Sample.STILL] = 0.0
     _refuse_ahead(memory, time)

@@ -6,7 +6,6 @@ from mems_ins_fusion.compiled import njit
 from ..memory import WHITE, Error, Event, Head, Nav, Sample, channel_of, row_of
 from .geometry import add
 
-
 #: rad/s (0.2 deg/h), smallest standard deviation of an angular rate at a standstill: less than any gyroscope resolves.
 #: One that shows zeros only, and is configured without noise, would have none
 SMALLEST_RATE_SIGMA = 1e-6

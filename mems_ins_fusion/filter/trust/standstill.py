@@ -32,7 +32,7 @@ Still = HEAD.place(
     PART=1,  # which part of the window the latest sample belongs to
     SQUARES=PARTS + 1,  # (m/s^2)^2 s: integral over each part of the square of what is left,
     DURATIONS=PARTS + 1,  # s: and how long each part is
-    CREPT=1,  # s: for how long the vehicle has certainly moved, but more slowly than LEARNING_SPEED
+    CREPT=1,  # s: for how long the vehicle has been slow, but moved; negative: it has been fast, at some time
     MOTION=1,  # logarithm of the least root mean square of it in motion
     REST=1)  # and of what is usual at rest
 #: of a state
@@ -52,12 +52,18 @@ SLOWEST_SPEED = 0.1
 SLOWEST_TURN = 0.02
 #: s after which such a speed says nothing any more
 LONGEST_VALID = 1.0
-#: m/s: a vehicle certainly moves where its speed, less two sigma, is above this: a slower one may stand
+#: sigmas of the velocity by which a certain speed is less than the estimated one
+CERTAIN_SIGMAS = 2.0
+#: m/s: a vehicle certainly moves where its certain speed is above this: a slower one may stand
 MOVING_SPEED = 1.0
-#: m/s: and where it is above this, how quiet the vehicle is in motion is learned. Half of MOVING_SPEED, as a car that
-#: creeps may be as quiet as others that stand: with all of it, a gap in the samples of such a car ended in a standstill
+#: m/s: how quiet the vehicle is in motion is learned where its speed, less SURE_SIGMAS, is above this. Half of
+#: MOVING_SPEED, as a car that creeps may be as quiet as others that stand: with all of it, a gap in the samples of such
+#: a car ended in a standstill
 LEARNING_SPEED = 0.5
-#: s: and where it has been slower than that for so long, twice WINDOW: a car that stops or drives off is for shorter
+#: sigmas: fixes that are late leave a speed of two sigmas for seconds after a stop, which then passed for motion as
+#: quiet as rest for ten minutes
+SURE_SIGMAS = 4.0
+#: s: a robot that has never been faster than MOVING_SPEED shows that where it has moved for so long, twice WINDOW
 CREEPING_TIME = 3.0
 #: m: a vehicle that stands, as its accelerometers show it, moves where fixes go straight on for so far, further than
 #: those of a receiver that finds or loses its base change
@@ -93,10 +99,10 @@ EXPECTED_REST = 0.01
 
 @njit(_nrt=False)
 def certain_speed(mem, r):
-    """The speed that the vehicle certainly has in the state at r, m/s: less two sigma."""
+    """The speed that the vehicle certainly has in the state at r, m/s: less CERTAIN_SIGMAS."""
     r = nonnegative(r)
     sigma = math.sqrt(velocity_variance(mem, r))
-    return max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) - 2.0 * sigma, 0.0)
+    return max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) - CERTAIN_SIGMAS * sigma, 0.0)
 
 
 @njit(_nrt=False)
@@ -161,11 +167,11 @@ def shown_speed(mem, r, at, variance):
 
 
 @njit(_nrt=False)
-def is_still(mem, sample, dt, speed, anew):
+def is_still(mem, sample, dt, speed, sigma, anew):
     """1 when the sample at `sample`, dt s after the one before, is one of a standstill; its state is in the head.
 
-    speed: that the vehicle certainly has, m/s. anew: whether nothing is known of the time before the sample, so that a
-    change of its specific force since then says nothing.
+    speed: that the vehicle certainly has (`certain_speed`), sigma: of the estimated one, m/s. anew: whether nothing is
+    known of the time before the sample, so that a change of its specific force since then says nothing.
     """
     low, slow, square = min(1.0, dt / LOW_PASS), min(1.0, dt / MEAN_TIME), 0.0
     first = mem[Still.MOTION] == 0.0
@@ -185,8 +191,12 @@ def is_still(mem, sample, dt, speed, anew):
         return 0.0
     level, separation = 0.5 * math.log(max(mean, 1e-12)), math.log(SEPARATION)
     motion, rest = mem[Still.MOTION], mem[Still.REST]
-    mem[Still.CREPT] = mem[Still.CREPT] + dt if SLOWEST_SPEED < speed <= LEARNING_SPEED else 0.0
-    if speed > LEARNING_SPEED or mem[Still.CREPT] > CREEPING_TIME:
+    surely = speed - (SURE_SIGMAS - CERTAIN_SIGMAS) * sigma
+    if surely > MOVING_SPEED or mem[Still.CREPT] < 0.0:
+        mem[Still.CREPT] = -1.0
+    else:
+        mem[Still.CREPT] = mem[Still.CREPT] + dt if speed > SLOWEST_SPEED else 0.0
+    if surely > LEARNING_SPEED or mem[Still.CREPT] > CREEPING_TIME:
         # the least there is: down at once, though not by one sample alone, and up slowly
         motion = min(motion + dt / FORGETTING_TIME, max(level, motion - 2.0 * dt))
     elif level < motion - separation:
