@@ -68,33 +68,8 @@ def _reserve_domain():
     raise RuntimeError('all ROS domains are taken')
 
 
-#: Fast DDS by UDP, on this machine alone. By shared memory, which is its default, it ends with a segmentation fault now
-#: and then (in `SharedMemChannelResource::release`, Fast DDS 2.14) where a node is destroyed after another process was
-#: killed that had sent to it
-_LOOPBACK = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <transport_descriptors><transport_descriptor><transport_id>loopback</transport_id><type>UDPv4</type>
-    <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>
-  </transport_descriptor></transport_descriptors>
-  <participant profile_name="loopback" is_default_profile="true"><rtps>
-    <userTransports><transport_id>loopback</transport_id></userTransports>
-    <useBuiltinTransports>false</useBuiltinTransports>
-  </rtps></participant>
-</profiles>
-"""
-
-
-def _stay_on_this_machine() -> dict[str, str]:
-    """Environment in which nodes hear only nodes on this machine."""
-    if os.environ.get('RMW_IMPLEMENTATION', 'rmw_fastrtps_cpp') != 'rmw_fastrtps_cpp':
-        return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-    profiles = Path(tempfile.gettempdir()) / f'mems_ins_fusion_ros_domain_{_DOMAIN}.xml'
-    profiles.write_text(_LOOPBACK, encoding='ascii')
-    # with LOCALHOST, ROS chooses the transports itself: shared memory, too
-    return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT', 'FASTRTPS_DEFAULT_PROFILES_FILE': str(profiles)}
-
-
 _DOMAIN, _LOCK = _reserve_domain()
-os.environ.update(_stay_on_this_machine(), ROS_DOMAIN_ID=str(_DOMAIN))
+os.environ.update(ROS_DOMAIN_ID=str(_DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
 os.environ.setdefault('ROS_LOG_DIR', tempfile.mkdtemp(prefix='mems_ins_fusion_ros_log_'))
 
 
