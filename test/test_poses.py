@@ -129,4 +129,6 @@ def test_configure_takes_poses_only_of_an_odometry_that_has_no_twist(drive, twis
         assert found['inputs'] == ['lidar_odometry'] and found['lidar_odometry.type'] == 'pose'
         assert found['lidar_odometry.time_offset'] == pytest.approx(0.0, abs=0.03)
     else:
-        assert found['twist_topic'] == '/wheel/odometry' and not found.get('inputs')
+        # measured where the lidar is, 1.2 m ahead of the axle
+        assert found['inputs'] == ['wheel_odometry'] and found['wheel_odometry.type'] == 'twist'
+        assert found['wheel_odometry.lever_arm'] == pytest.approx([1.2, 0.0, 0.0], abs=0.2)
