@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from never_worse import _at, _local, _motorway, _rms, _straight_on
+from never_worse import _at, _local, _motorway, _rms, without_fixes
 
 from mems_ins_fusion import parameters
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.runs.replay import Aiding, run, run_with_outages
+from mems_ins_fusion.filter.runs.replay import Aiding, run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation.drive import simulate_drive
@@ -120,20 +120,13 @@ def judge(recording: Recording, values: dict) -> list[float] | str:
     found = [alone, fused, np.linalg.norm(off, axis=1).max(), _within(whole, k, off).mean(), held]
     for duration in OUTAGES:
         begins = np.arange(first + round(20e9), last - round((duration + 1.0) * 1e9), round(SPACING * 1e9))
-        coasting = run_with_outages(config, recording.imu, fixes, begins, duration, Aiding())[1]
-        mine, straight, held = [], [], []
-        for i, begin in enumerate(coasting.begin):
-            rows = coasting.run.states(slice(coasting.first[i], coasting.first[i + 1]))
-            stamp = truth.stamp[(truth.stamp > begin) & (truth.stamp <= min(begin + duration * 1e9, rows.stamp[-1]))]
-            if not len(stamp) or (fixes.stamp <= begin).sum() < 5:
-                continue
-            there = _at(stamp, truth, origin)
-            off = _at(stamp, rows, origin) - there
+        outages = []
+        for rows, stamp, off, straight in without_fixes(config, recording, begins, duration, Aiding()):
             end = np.clip(np.searchsorted(rows.stamp, stamp[-1:]), 0, len(rows.stamp) - 1)
-            mine.append(np.linalg.norm(off, axis=1).max())
-            held.append(_within(rows, end, off[-1:])[0])
-            straight.append(np.linalg.norm(_straight_on(fixes, begin, stamp, origin) - there, axis=1).max())
-        found += [np.median(mine), np.median(straight), np.mean(held)] if mine else [np.nan] * 3
+            outages.append((np.linalg.norm(off, axis=1).max(), np.linalg.norm(straight, axis=1).max(),
+                            _within(rows, end, off[-1:])[0]))
+        mine, straight, held = np.array(outages).T if outages else np.full((3, 1), np.nan)
+        found += [np.median(mine), np.median(straight), np.mean(held)]
     return found
 
 

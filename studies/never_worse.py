@@ -110,6 +110,20 @@ def _straight_on(fixes, begin, stamp, origin):
     return where[last] + (stamp[:, None] - known.stamp[last]) * 1e-9 * velocity
 
 
+def without_fixes(config: FilterConfig, recording: Recording, begins: np.ndarray, duration: float, aiding: Aiding):
+    """Of each outage of `duration` s that begins at `begins`, ns: the filter's states, the stamps of the truth (m,) in
+    it, and the errors there of the filter and of going straight on (m, 2), m."""
+    truth, fixes = recording.reference, recording.gnss
+    origin = truth.latitude[0], truth.longitude[0]
+    coasting = run_with_outages(config, recording.imu, fixes, begins, duration, aiding)[1]
+    for k, begin in enumerate(coasting.begin):
+        rows = coasting.run.states(slice(coasting.first[k], coasting.first[k + 1]))
+        stamp = truth.stamp[(truth.stamp > begin) & (truth.stamp <= min(begin + duration * 1e9, rows.stamp[-1]))]
+        if len(stamp):
+            there = _at(stamp, truth, origin)
+            yield rows, stamp, _at(stamp, rows, origin) - there, _straight_on(fixes, begin, stamp, origin) - there
+
+
 def judge(line: Line) -> str:
     """A line of the table."""
     recording, config = line.recording, FilterConfig.from_parameters(table.check(line.values))
@@ -133,17 +147,9 @@ def judge(line: Line) -> str:
     cells = [f'{alone:.2f}', f'{fused:.2f}', _ratio(fused / alone, ALLOWED)]
     for duration in DURATIONS if not line.window else ():
         begins = np.arange(first, stop - round((duration + 1.0) * 1e9), round(SPACING * 1e9))
-        coasting = run_with_outages(config, recording.imu, fixes, begins, duration, aiding)[1]
-        mine, straight = [], []
-        for k, begin in enumerate(coasting.begin):
-            rows = coasting.run.states(slice(coasting.first[k], coasting.first[k + 1]))
-            stamp = truth.stamp[(truth.stamp > begin) & (truth.stamp <= min(begin + duration * 1e9, rows.stamp[-1]))]
-            if not len(stamp):
-                continue
-            there = _at(stamp, truth, origin)
-            mine.append(np.linalg.norm(_at(stamp, rows, origin) - there, axis=1).max())
-            straight.append(np.linalg.norm(_straight_on(fixes, begin, stamp, origin) - there, axis=1).max())
-        a, b = np.median(mine), np.median(straight)
+        found = [(np.linalg.norm(mine, axis=1).max(), np.linalg.norm(straight, axis=1).max())
+                 for _, _, mine, straight in without_fixes(config, recording, begins, duration, aiding)]
+        a, b = np.median(found, axis=0)
         cells += [f'{a:.1f}', f'{b:.1f}', _ratio(a / b, 1.0)]
     return f'| {line.name} | {" | ".join(cells)} |'
 
