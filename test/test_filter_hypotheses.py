@@ -34,6 +34,7 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     restart_penalty,
     score_fix,
 )
+from mems_ins_fusion.filter.trust.line import Line
 from mems_ins_fusion.filter.trust.new_start import are_refused
 from mems_ins_fusion.filter.trust.new_start import note as note_refused
 from mems_ins_fusion.filter.trust.receiver import Receiver
@@ -365,10 +366,11 @@ def test_where_nothing_is_remembered_before_refused_fixes_there_is_no_second_fil
     _, memory, r = a_state()
     times = np.arange(6.0)
     memory[r + Nav.TIME], memory[r + Nav.FIX_TIME], memory[Head.FORGOTTEN] = 10.0, 9.0, 1e9
-    for column, value in ((Nav.REFUSED, 6.0), (Nav.REFUSED_SINCE, 4.0), (Nav.SUM_T, times.sum()),
-                          (Nav.SUM_TT, times @ times), (Nav.SUM_N, 20.0 * 6), (Nav.SUM_TN, 20.0 * times.sum()),
-                          (Nav.SUM_SQUARE, 400.0 * 6), (Hypothesis.SCORE, -50.0), (Hypothesis.OUTLIER_NATS, -100.0),
-                          (Receiver.CLAIMED, 2.0)):
+    for column, value in ((Nav.REFUSED, 6.0), (Nav.REFUSED + Line.SINCE, 4.0), (Nav.REFUSED + Line.T, times.sum()),
+                          (Nav.REFUSED + Line.TT, times @ times), (Nav.REFUSED + Line.N, 20.0 * 6),
+                          (Nav.REFUSED + Line.TN, 20.0 * times.sum()),
+                          (Nav.REFUSED + Line.SQUARE, 400.0 * 6), (Hypothesis.SCORE, -50.0),
+                          (Hypothesis.OUTLIER_NATS, -100.0), (Receiver.CLAIMED, 2.0)):
         memory[r + column] = value
     assert are_refused(memory, r)
     before = newest(memory)

@@ -9,7 +9,7 @@ from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, star
 
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, newest_row, state_at, views
 from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu, is_contradicted
-from mems_ins_fusion.filter.trust.standstill import MOVING_SPEED, certain_speed
+from mems_ins_fusion.filter.trust.standstill import MOVING_SPEED, certain_speed, velocity_sigma
 from mems_ins_fusion.navigation.earth import gravity
 
 RATE, SPEED = 50.0, 12.0
@@ -140,7 +140,8 @@ def test_an_axis_that_is_stuck_is_not_believed_again_because_the_vehicle_may_hav
     _, memory, _ = driven(mechanization, stuck, count=450, speed=4.0)
     # then all of them but the first 0.3 s, in which that may be chance, are bridged, though by then it may stand
     assert 200 - 0.3 * RATE - 2 <= memory[Imu.FAULTS + Fault.FROZEN] <= 200
-    assert certain_speed(memory, state_at(memory, 398)) < MOVING_SPEED
+    at = state_at(memory, 398)
+    assert certain_speed(memory, at, velocity_sigma(memory, at)) < MOVING_SPEED
 
 
 @BOTH

@@ -45,6 +45,7 @@ from mems_ins_fusion.filter.runs.results import MeasurementLog, columns, result
 from mems_ins_fusion.filter.start.initial import sensor_errors_of
 from mems_ins_fusion.filter.trust.force_noise import force_noise
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
+from mems_ins_fusion.filter.trust.line import Line
 from mems_ins_fusion.filter.trust.new_start import start_anew
 from mems_ins_fusion.filter.trust.receiver import (
     LASTING_TIME,
@@ -273,7 +274,7 @@ def test_a_new_start_forgets_how_large_the_innovations_of_the_old_state_were():
     level = at + OfReceiver.INNOVATION_SCALE
     memory[at + Nav.VARIANCE_FACTOR], memory[level] = 100.0, math.log(100.0)
     # when it starts anew from two fixes that it had refused, a second apart
-    memory[at + Nav.REFUSED], memory[at + Nav.SUM_T], memory[at + Nav.SUM_TT] = 2.0, 1.0, 1.0
+    memory[at + Nav.REFUSED], memory[at + Nav.REFUSED + Line.T], memory[at + Nav.REFUSED + Line.TT] = 2.0, 1.0, 1.0
     start_anew(memory, at, int(memory[Head.EVENTS_AT]))
     # then its sigmas are those of the new state
     assert memory[at + Nav.VARIANCE_FACTOR] == 1.0 and memory[level] == 0.0

@@ -35,13 +35,12 @@ from .memory import (
     state_at,
     state_before,
     time_of,
-    velocity_variance,
 )
 from .prediction import allow_for_restart, predict
 from .trust import imu_faults
 from .trust.extrapolation import Wrong
 from .trust.imu_faults import Fault, Imu
-from .trust.standstill import certain_speed, is_still
+from .trust.standstill import certain_speed, is_still, velocity_sigma
 from .trust.white_noise import show_noise
 
 #: answers of `take_event`: the measurement is in the memory; it is older than the first state; it is older than
@@ -141,7 +140,8 @@ def take_sample(memory, samples, i):
     time = samples[i, 0]
     dt = time - memory[nonnegative(sample_at(memory, k - 1)) + Sample.TIME]
     memory[sample + Sample.TIME], memory[sample + Sample.INTERVAL] = time, dt
-    speed = certain_speed(memory, before)
+    sigma = velocity_sigma(memory, before)
+    speed = certain_speed(memory, before, sigma)
     before_fault = memory[nonnegative(sample_at(memory, k - 1)) + Sample.FAULT]
     contradicted = imu_faults.is_contradicted(memory, before, time)
     fault = imu_faults.check(memory, samples, i, dt, speed, contradicted, before_fault)
@@ -161,7 +161,6 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
-        sigma = math.sqrt(velocity_variance(memory, before))
         memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed, sigma, bridged)
         if imu_faults.is_stuck(memory, dt):  # a stuck accelerometer looks still although the vehicle may move
             memory[sample + Sample.STILL] = 0.0
@@ -212,10 +211,16 @@ def coast(memory, sample, r):
 
 
 @njit(_nrt=False)
+def repeat(memory, after, until):
+    """Compute the states after state `after`, which is in the memory, up to state `until` again."""
+    for j in range(after + 1, until + 1):
+        advance(memory, j)
+
+
+@njit(_nrt=False)
 def return_to(memory, k):
     """Have state k in the memory again, of which the samples are still there; the caller repeats what followed it."""
-    for j in range(kept_state(memory, k) + 1, k + 1):
-        advance(memory, j)
+    repeat(memory, kept_state(memory, k), k)
 
 
 @njit(_nrt=False)
@@ -253,8 +258,7 @@ def take_event(memory, events, i):
     for c in range(Event.SIZE):
         memory[at + c] = events[i, c]
     memory[Head.EVENTS] = count + 1
-    for j in range(kept_state(memory, k) + 1, newest + 1):  # late: repeat what followed
-        advance(memory, j)
+    repeat(memory, kept_state(memory, k), newest)  # nothing, unless it is late
     if memory[Wrong.SINCE] != 0.0:
         _withdraw(memory, newest)
     return TAKEN
@@ -276,8 +280,7 @@ def _withdraw(memory, newest):
         verdict = memory[at + Event.VERDICT]
         if memory[at + Event.KIND] == Kind.POSITION and memory[at + Event.TIME] >= since and verdict != 0.0:
             memory[at + Event.WITHDRAWN] = 1.0
-    for j in range(kept_state(memory, k) + 1, newest + 1):
-        advance(memory, j)
+    repeat(memory, kept_state(memory, k), newest)
 
 
 @njit(_nrt=False)

@@ -17,7 +17,7 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from .advance import advance, can_return_to, return_to
+from .advance import can_return_to, repeat, return_to
 from .measurements.geometry import body_to_level
 from .memory import (
     HEAD,
@@ -39,6 +39,7 @@ from .trust import extrapolation, fix_drift, hypotheses, imu_faults, new_start
 from .trust.extrapolation import Extrapolation
 from .trust.force_noise import learn_from_velocity
 from .trust.hypotheses import Hypothesis
+from .trust.line import Line
 from .trust.receiver import CLAIM_CHANGE, Receiver, excess_scatter
 from .trust.scale import Scale
 from .trust.standstill import Standing
@@ -172,7 +173,7 @@ def _swap(memory, other):
 def _start_from_fixes(memory, other, r, interval):
     """The first filter, which has refused several fixes in a row, assumes from now on that these are wrong; the second
     starts anew from the latest of them. interval: s between the latest fix and the one before."""
-    begun = memory[r + Nav.REFUSED_SINCE]
+    begun = memory[r + Nav.REFUSED + Line.SINCE]
     if memory[Bank.OPEN] == 0.0 or hypotheses.score(other, r) < hypotheses.score(memory, r):
         if _refuse_since(memory, other, max(begun, time_of(memory, oldest_state(memory) + 1)), interval) == -math.inf:
             return
@@ -195,8 +196,7 @@ def _start_anew(other, k, due):
     start, newest = state_at(other, k), int(other[Head.SAMPLES])
     other[start + Hypothesis.START_DUE] = due
     other[Head.FORGOTTEN] = max(other[Head.FORGOTTEN], other[start + Nav.TIME])  # a late fix must not undo the start
-    for j in range(k + 1, newest + 1):
-        advance(other, j)
+    repeat(other, k, newest)
     other[state_at(other, newest) + Hypothesis.START_DUE] = 0.0
 
 
@@ -309,8 +309,7 @@ def _refuse_since(memory, other, since, interval):
     _copy(memory, other, state_before(memory, time - memory[Head.MAX_DELAY]))
     return_to(other, k)
     hypotheses.begin_refusing(other, state_at(memory, k), interval)
-    for j in range(k + 1, newest + 1):
-        advance(other, j)
+    repeat(other, k, newest)
     return hypotheses.score(other, state_at(memory, newest))
 
 

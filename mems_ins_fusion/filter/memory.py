@@ -55,15 +55,7 @@ class _Nav(NamedTuple):
     RESIDUAL_TIME: int = column()  # time of the last fix used, and its residual: updated minus measured position, m
     RESIDUAL_N: int = column()
     RESIDUAL_E: int = column()
-    REFUSED: int = column()  # fixes refused in a row; sums over them, to fit a line to their innovations:
-    REFUSED_SINCE: int = column()
-    SUM_T: int = column()
-    SUM_TT: int = column()
-    SUM_N: int = column()
-    SUM_TN: int = column()
-    SUM_E: int = column()
-    SUM_TE: int = column()
-    SUM_SQUARE: int = column()
+    REFUSED: int = column(9)  # fixes refused in a row: the line through their innovations (`trust.line.Line`)
     LATERAL_NIS: int = column()  # running mean NIS of the non-holonomic constraint, sideways and vertical
     VERTICAL_NIS: int = column()
     BRIDGED: int = column()  # s since the last valid IMU sample, LONGEST_BRIDGE at most (prediction.py)

@@ -17,7 +17,7 @@ from ..update import scratch_of
 from . import hypotheses
 from .drift import Drift
 from .hypotheses import Hypothesis
-from .line import add_to_line, begin_line, fit_line
+from .line import Line, add_to_line, begin_line, fit_line
 from .receiver import Receiver, excess_scatter
 from .scale import reset_scale
 
@@ -66,7 +66,7 @@ def note(mem, r, at):
     if mem[at + Event.VERDICT] != Verdict.REFUSED:
         return
     if mem[r + Nav.REFUSED] == 0.0:
-        mem[r + Nav.REFUSED_SINCE] = time
+        mem[r + Nav.REFUSED + Line.SINCE] = time
     add_to_line(mem, r + Nav.REFUSED, time, mem[at + Event.Z_N], mem[at + Event.Z_E], 1.0)
 
 
@@ -75,7 +75,7 @@ def _may_start(mem, r):
     """Whether so many fixes have been refused in a row, and for so long, the latest with the state at r, that they are
     no outliers where they agree."""
     return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED
-            and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] >= DIVERGED_AFTER)
+            and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED + Line.SINCE] >= DIVERGED_AFTER)
 
 
 @njit(_nrt=False)
@@ -99,7 +99,7 @@ def is_due(mem, r, at):
     velocity would."""
     if mem[r + Hypothesis.START_DUE] != 0.0:
         return True
-    lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]
+    lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED + Line.SINCE]
     if mem[r + Nav.REFUSED] < FEWEST_REFUSED or lasted < min(DIVERGED_AFTER, mem[Head.RECOVERY_TIME]):
         return False
     if lasted < mem[Head.RECOVERY_TIME] and not _diverged(mem, r, mem[at + Event.TIME]):
@@ -111,7 +111,7 @@ def is_due(mem, r, at):
 def _agree(mem, r, claimed):
     """Whether the refused innovations lie on a line; claimed: variance of a fix, both components, m^2."""
     _, _, spread, _ = fit_line(mem, r + Nav.REFUSED)
-    size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
+    size = math.sqrt(mem[r + Nav.REFUSED + Line.SQUARE] / mem[r + Nav.REFUSED])
     sigma = math.sqrt(excess_scatter(mem, r) * claimed)
     return math.sqrt(spread) < AGREEMENT_SIGMAS * (sigma + AGREEMENT_FLOOR) + AGREEMENT_SHARE * size
 
@@ -212,11 +212,11 @@ def _diverged(mem, r, time):
     slope, free = math.hypot(slope_n, slope_e), max(mem[r + Nav.REFUSED] - 2.0, 1.0)
     if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
         return False  # who hardly moves cannot diverge
-    size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
+    size = math.sqrt(mem[r + Nav.REFUSED + Line.SQUARE] / mem[r + Nav.REFUSED])
     # probability of such a slope of fixes that only scatter: F distribution with 2 and 2 (n - 2) degrees of freedom
     chance = (1.0 + 0.5 * slope * slope / (free * max(variance, 1e-9))) ** -free
     return (slope > DIVERGED_SLOPE and chance < SIGNIFICANCE
-            and slope * (time - mem[r + Nav.REFUSED_SINCE]) > DIVERGED_SHARE * size)
+            and slope * (time - mem[r + Nav.REFUSED + Line.SINCE]) > DIVERGED_SHARE * size)
 
 
 @njit(_nrt=False)

@@ -52,7 +52,8 @@ SLOWEST_SPEED = 0.1
 SLOWEST_TURN = 0.02
 #: s after which such a speed says nothing any more
 LONGEST_VALID = 1.0
-#: sigmas of the velocity by which a certain speed is less than the estimated one
+#: sigmas of the velocity by which a certain speed is less than the estimated one: by chance a vehicle is slower than
+#: that once in forty times
 CERTAIN_SIGMAS = 2.0
 #: m/s: a vehicle certainly moves where its certain speed is above this: a slower one may stand
 MOVING_SPEED = 1.0
@@ -98,17 +99,22 @@ EXPECTED_REST = 0.01
 
 
 @njit(_nrt=False)
-def certain_speed(mem, r):
-    """The speed that the vehicle certainly has in the state at r, m/s: less CERTAIN_SIGMAS."""
+def velocity_sigma(mem, r):
+    """Standard deviation of the horizontal velocity of the state at r, m/s."""
+    return math.sqrt(velocity_variance(mem, nonnegative(r)))
+
+
+@njit(_nrt=False)
+def certain_speed(mem, r, sigma):
+    """The speed that the vehicle certainly has in the state at r, m/s: less CERTAIN_SIGMAS. sigma: of its velocity."""
     r = nonnegative(r)
-    sigma = math.sqrt(velocity_variance(mem, r))
     return max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) - CERTAIN_SIGMAS * sigma, 0.0)
 
 
 @njit(_nrt=False)
 def moves(mem, r):
     """Whether the vehicle certainly moves in the state at r."""
-    return certain_speed(mem, r) > MOVING_SPEED
+    return certain_speed(mem, r, velocity_sigma(mem, r)) > MOVING_SPEED
 
 
 @njit(_nrt=False)
