@@ -15,6 +15,7 @@ import threading
 import traceback
 import warnings
 from collections.abc import Callable
+from contextlib import contextmanager
 from pathlib import Path
 
 from mems_ins_fusion.errors import InputError
@@ -66,6 +67,21 @@ def stop_if_interrupted() -> None:
     """Raise KeyboardInterrupt if a signal has come: a library may have caught the one that the handler raised."""
     if (running := _Interruption.running) is not None and running.requested and not running.heard:
         raise KeyboardInterrupt
+
+
+@contextmanager
+def interruption_delayed():
+    """A short block that an interruption does not divide: KeyboardInterrupt comes at its end."""
+    running = _Interruption.running
+    if running is None:
+        yield
+        return
+    running.delayed = True
+    try:
+        yield
+    finally:
+        running.delayed = False
+    stop_if_interrupted()
 
 
 def heard_interruption() -> None:
@@ -144,6 +160,8 @@ class _Interruption:
     requested = False
     #: whether who caught it goes on on purpose
     heard = False
+    #: whether a block runs that is not to be divided
+    delayed = False
     #: the one whose block runs
     running: _Interruption | None = None
 
@@ -192,7 +210,8 @@ class _Interruption:
     def _handle(self, number, frame):
         if not self.requested:
             self.requested = True
-            raise KeyboardInterrupt
+            if not self.delayed:
+                raise KeyboardInterrupt
 
     def _lost(self, unraisable):
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mems_ins_fusion.errors import InputError
-from mems_ins_fusion.guard import stop_if_interrupted
+from mems_ins_fusion.guard import interruption_delayed, stop_if_interrupted
 
 #: ends of the names of unfinished results, and of one that is being replaced
 _UNFINISHED, _FORMER = '.unfinished', '.former'
@@ -52,16 +52,19 @@ def result_folder(path, overwrite: bool = False, marker: str = 'report.json', op
         check_free(asked, overwrite, marker, option)
         path = _real(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        work, lock = _claim(path)
+    work = lock = None
     try:
+        with _said(path), interruption_delayed():  # between a folder that exists and the block that removes it
+            work, lock = _claim(path)
         with _said(path, work):
             yield work
             check_free(asked, overwrite, marker, option)
             stop_if_interrupted()
             _replace(path, work)
     finally:
-        shutil.rmtree(work, ignore_errors=True)
-        os.close(lock)
+        if work is not None:
+            shutil.rmtree(work, ignore_errors=True)
+            os.close(lock)
 
 
 def check_free(path, overwrite: bool = False, marker: str = 'report.json', option: str = _OPTION) -> None:

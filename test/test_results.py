@@ -100,3 +100,18 @@ def test_an_interruption_that_a_library_loses_leaves_no_result(tmp_path, as_file
     assert guarded('tool', [], work) == (0 if heard else INTERRUPTED)
     assert [path.name for path in tmp_path.iterdir()] == (['out'] if heard else [])
     assert capsys.readouterr().err == ('' if heard else 'tool: interrupted, nothing was written\n')
+
+
+def test_an_interruption_while_the_folder_is_made_leaves_none(tmp_path, monkeypatch, capsys):
+    # given a signal that comes just when the folder for the unfinished result stands
+    make = results.tempfile.mkdtemp
+
+    def made_and_interrupted(*arguments, **options):
+        path = make(*arguments, **options)
+        signal.raise_signal(signal.SIGINT)
+        return path
+    monkeypatch.setattr(results.tempfile, 'mkdtemp', made_and_interrupted)
+    # then it is removed
+    assert guarded('tool', [], lambda: write(tmp_path / 'out', 'text')) == INTERRUPTED
+    assert list(tmp_path.iterdir()) == []
+    assert capsys.readouterr().err == 'tool: interrupted, nothing was written\n'
