@@ -1,11 +1,11 @@
 """How far positions without fixes really are off, over what the filter expects: a factor for the trust horizon.
 
-At the begin of each PERIOD the filter is copied, and the copy goes on without fixes. After each of AGES its position is
-compared with that of the filter. Both have the past in common, so that the difference d has the covariance P_copy -
-P_filter, and what is wrong with both, as slow errors of a receiver, is not in it. Its normalized square is one
-deviation for the scale (trust/scale.py) of realised over expected variance. A scale above 1 is used as it is, below 1
-only as far as that is certain. The filter itself does not use it: its gains depend on ratios of variances, and which
-part of P a difference comes from does not show.
+At the begin of each PERIOD the newest state of the filter is copied, and the copy goes on without fixes, in steps of
+several samples (coarse.py). After each of AGES its position is compared with that of the filter. Both have the past in
+common, so that the difference d has the covariance P_copy - P_filter, and what is wrong with both, as slow errors of a
+receiver, is not in it. Its normalized square is one deviation for the scale (trust/scale.py) of realised over expected
+variance. A scale above 1 is used as it is, below 1 only as far as that is certain. The filter itself does not use it:
+its gains depend on ratios of variances, and which part of P a difference comes from does not show.
 """
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import math
 
 import numpy as np
 
-from ..bank import copied
 from ..config import FilterConfig
-from ..memory import Nav, covariance, newest_row, variance_factor
+from ..memory import Head, Kind, Nav, Sample, covariance, newest_row, sample_at, variance_factor
 from ..trust.scale import Scale, learn_changes, scale
+from .coarse import follow
+from .newest import NewestState
 from .odometry import corrected
 
 PERIOD = 30.0  # s from one copy to the next: as long as most outages in a town, and twenty in ten minutes
@@ -30,24 +31,28 @@ WEIGHT = 1.0 / len(AGES)
 LARGEST_SHARE = 0.5
 #: m, least displacement in that time: the errors of a vehicle that stands are none of one that drives
 DRIVEN = 20.0
+#: s, longest time after which the copy follows the filter: the memory holds the samples and measurements of two seconds
+#: (`FilterConfig.capacity`, `event_capacity`)
+BEHIND = 2.0
 LATEST = 1.0  # s: where no samples came for longer, nothing is compared
 
 
 class Withheld:
     """Copies of a filter with `config` from which fixes are withheld, one after the other.
 
-    due: s, time of a sample before which `before` has to be called. copy: memory of the present copy, which has to get
-    the same samples and measurements as the filter, but those from satellites; None before the first one.
+    due: s, time of a sample before which `before` has to be called.
     """
 
     def __init__(self, config: FilterConfig):
         self._layout, self._open_loop = config.layout, config.open_loop
         self._rows = np.array(config.layout.rows, dtype=float)
         self._scale = np.zeros(Scale.CHANGING_SIZE)
-        self._spare: np.ndarray | None = None  # room for copies
+        # two states, two between samples
+        self._small = NewestState(config, 4, 2, config.event_capacity)
+        self._withheld = _from_satellites(config)
         self._slot, self._place = 0.0, (0.0, 0.0)  # s, begin of the present PERIOD, and rad, where the copy began
-        self.copy: np.ndarray | None = None
-        self.due = math.inf
+        self._followed = -1  # number of the sample up to which the copy has followed; -1: there is no copy
+        self._age = self.due = math.inf  # s: time at which the copy is compared
 
     @property
     def realised(self) -> float:
@@ -56,31 +61,33 @@ class Withheld:
 
     def begin(self, time: float) -> None:
         """A filter has begun, whose newest sample is at `time`, s; what is known stays."""
-        self.copy, self.due = None, (math.floor(time / PERIOD) + 1.0) * PERIOD
+        self._followed, self.due = -1, (math.floor(time / PERIOD) + 1.0) * PERIOD
 
     def stop(self) -> None:
         """Have no more copies."""
-        self.copy, self.due = None, math.inf
+        self._followed, self.due = -1, math.inf
 
-    def before(self, time: float, memory: np.ndarray) -> bool:
-        """Do what is due before the sample at `time`, s, of the filter with `memory`; whether another copy begins."""
-        if self.copy is not None:
+    def before(self, time: float, memory: np.ndarray) -> None:
+        """Do what is due before the sample at `time`, s, of the filter with `memory`."""
+        slot, newest = math.floor(time / PERIOD) * PERIOD, int(memory[Head.SAMPLES])
+        if self._followed >= 0 and not follow(self._small.memory, memory, self._followed, self._withheld):
+            self._followed = -1
+        if self._followed >= 0 and time >= self._age:
             self._compare(memory)
-        slot = math.floor(time / PERIOD) * PERIOD
-        anew = self.copy is None or slot > self._slot
-        if anew:
-            self._spare = np.zeros(len(memory)) if self._spare is None else self._spare
-            self.copy, self._slot = copied(memory, self._spare), slot
-            self._place = self._latitude_longitude(newest_row(memory))
-        self.due = next(slot + age for age in AGES if slot + age > time)
-        return anew
+        if self._followed < 0 or slot > self._slot:
+            self._small.take(memory)
+            self._slot, self._place = slot, self._latitude_longitude(newest_row(memory))
+        self._followed = newest
+        self._age = next(slot + age for age in AGES if slot + age > time)
+        held = 0.5 * memory[Head.CAPACITY] * memory[sample_at(memory, newest) + Sample.INTERVAL]
+        self.due = min(self._age, time + min(BEHIND, held))
 
     def _compare(self, memory: np.ndarray) -> None:
         """Learn from the difference between the copy and the filter with `memory`, at the time that is due."""
-        row, copy = newest_row(memory), newest_row(self.copy)
+        row, copy = newest_row(memory), newest_row(self._small.memory)
         place, metre = self._latitude_longitude(row), row[[Nav.NORTH_SCALE, Nav.EAST_SCALE]]
         driven = np.subtract(place, self._place) / metre
-        if row[Nav.TIME] < self.due - LATEST or math.hypot(*driven) < DRIVEN:
+        if row[Nav.TIME] < self._age - LATEST or math.hypot(*driven) < DRIVEN:
             return
         without, with_fixes = (variance_factor(one, 0) * covariance(one, self._layout)[:2, :2] for one in (copy, row))
         variance, axes = np.linalg.eigh(without)
@@ -94,8 +101,18 @@ class Withheld:
     def warm_up(self, memory: np.ndarray) -> None:
         """Compile or load what is compiled. memory: of a filter that has begun."""
         self.before(0.0, memory)
+        follow(self._small.memory, memory, self._followed, self._withheld)
         learn_changes(np.zeros(Scale.CHANGING_SIZE), 0, 1.0, 1.0, 1.0, 0.0, 2, WEIGHT)
         scale(self._scale, 0)
 
     def _latitude_longitude(self, row: np.ndarray) -> tuple[float, float]:
         return corrected(row, 0, self._rows, self._open_loop)[:2]
+
+
+def _from_satellites(config: FilterConfig) -> np.ndarray:
+    """Whether measurements with an `Event.INPUT` are from satellites, (k,)."""
+    withheld = np.ones(1 + len(config.sensors))
+    for kind, measurement in config.inputs.items():
+        if kind != Kind.POSITION and config.settings_of(kind).topic:
+            withheld[int(config.of_input(kind)[0])] = measurement.from_satellites
+    return withheld
