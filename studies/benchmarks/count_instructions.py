@@ -55,7 +55,7 @@ def run_case(values: dict, switch) -> None:
 
 def run_copies(switch) -> None:
     """Counted twice: the defaults without copies, and with them, each over the samples of a copy."""
-    samples, fixes, arrival = recording(2 * COUNTED / 6000 + 0.1)
+    samples, fixes, arrival = recording(3 * COUNTED / 6000 + 0.1)
     numbers = np.arange(len(fixes))
     fixes[:, Event.ID] = numbers
     for with_copies in (False, True):
@@ -64,9 +64,9 @@ def run_copies(switch) -> None:
         work = Playback(samples, Events(numbers, numbers, arrival, fixes, 0 * numbers), names, kept,
                         np.zeros((len(samples), len(names))))
         filter_ = Copies(config, work, 0.0) if with_copies else work
-        filter_.advance(memory, COUNTED)
+        filter_.advance(memory, 2 * COUNTED)  # the first copy begins after COUNTED
         switch.on()
-        filter_.advance(memory, 2 * COUNTED)
+        filter_.advance(memory, 3 * COUNTED)
         switch.off()
 
 

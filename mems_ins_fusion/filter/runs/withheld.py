@@ -14,7 +14,19 @@ import math
 import numpy as np
 
 from ..config import FilterConfig
-from ..memory import Head, Kind, Nav, Sample, covariance, newest_row, sample_at, variance_factor
+from ..memory import (
+    Event,
+    Head,
+    Kind,
+    Nav,
+    Sample,
+    covariance,
+    event_at,
+    newest_row,
+    sample_at,
+    time_of,
+    variance_factor,
+)
 from ..trust.scale import Scale, learn_changes, scale
 from .coarse import follow
 from .newest import NewestState
@@ -31,9 +43,6 @@ WEIGHT = 1.0 / len(AGES)
 LARGEST_SHARE = 0.5
 #: m, least displacement in that time: the errors of a vehicle that stands are none of one that drives
 DRIVEN = 20.0
-#: s, longest time after which the copy follows the filter: the memory holds the samples and measurements of two seconds
-#: (`FilterConfig.capacity`, `event_capacity`)
-BEHIND = 2.0
 LATEST = 1.0  # s: where no samples came for longer, nothing is compared
 
 
@@ -79,8 +88,7 @@ class Withheld:
             self._slot, self._place = slot, self._latitude_longitude(newest_row(memory))
         self._followed = newest
         self._age = next(slot + age for age in AGES if slot + age > time)
-        held = 0.5 * memory[Head.CAPACITY] * memory[sample_at(memory, newest) + Sample.INTERVAL]
-        self.due = min(self._age, time + min(BEHIND, held))
+        self.due = min(self._age, time + _held(memory))
 
     def _compare(self, memory: np.ndarray) -> None:
         """Learn from the difference between the copy and the filter with `memory`, at the time that is due."""
@@ -107,6 +115,17 @@ class Withheld:
 
     def _latitude_longitude(self, row: np.ndarray) -> tuple[float, float]:
         return corrected(row, 0, self._rows, self._open_loop)[:2]
+
+
+def _held(memory: np.ndarray) -> float:
+    """For how long, s, samples and measurements stay in the memory: half of it (a quarter of the measurements, as the
+    older half is dropped at once), at the newest sample's interval and the measurements' rate."""
+    newest, count = int(memory[Head.SAMPLES]), int(memory[Head.EVENTS])
+    samples = 0.5 * memory[Head.CAPACITY] * memory[sample_at(memory, newest) + Sample.INTERVAL]
+    if count == 0:
+        return samples
+    since = time_of(memory, newest) - memory[event_at(memory, 0) + Event.TIME]
+    return min(samples, 0.25 * memory[Head.EVENT_CAPACITY] * max(since, 0.0) / count)
 
 
 def _from_satellites(config: FilterConfig) -> np.ndarray:
