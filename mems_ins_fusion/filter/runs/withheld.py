@@ -1,6 +1,6 @@
 """How far positions without fixes really are off, over what the filter expects: a factor for the trust horizon.
 
-At the begin of each PERIOD the newest state of the filter is copied, and the copy goes on without fixes, in steps of
+At the begin of a PERIOD the newest state of the filter is copied, and the copy goes on without fixes, in steps of
 several samples (coarse.py). After each of AGES its position is compared with that of the filter. Both have the past in
 common, so that the difference d has the covariance P_copy - P_filter, and what is wrong with both, as slow errors of a
 receiver, is not in it. Its normalized square is one deviation for the scale (trust/scale.py) of realised over expected
@@ -32,7 +32,11 @@ from .coarse import follow
 from .newest import NewestState
 from .odometry import corrected
 
-PERIOD = 30.0  # s from one copy to the next: as long as most outages in a town, and twenty in ten minutes
+PERIOD = 30.0  # s, of a copy: as long as most outages in a town
+FIRST = 6  # copies that follow each other at once: three minutes show most of what is usual for a vehicle
+#: number of periods from the begin of a copy to that of the next one after those: a copy costs 0.18 of the filter's
+#: work, of which 0.05 may be left, and a change of the road or the sensors shows after two minutes
+APART = 4
 #: s without fixes after which a copy is compared: errors of the velocity decide after the first, of heading, tilt and
 #: gyroscopes after the second
 AGES = (10.0, PERIOD)
@@ -59,9 +63,11 @@ class Withheld:
         # two states, two between samples
         self._small = NewestState(config, 4, 2, config.event_capacity)
         self._withheld = _from_satellites(config)
-        self._slot, self._place = 0.0, (0.0, 0.0)  # s, begin of the present PERIOD, and rad, where the copy began
+        self._count = 0  # of copies so far
+        self._slot, self._place = 0.0, (0.0, 0.0)  # s, begin of the PERIOD of the copy, and rad, where it began
         self._followed = -1  # number of the sample up to which the copy has followed; -1: there is no copy
-        self._age = self.due = math.inf  # s: time at which the copy is compared
+        # s: time at which the copy is compared, and at which the next one begins
+        self._age = self._next = self.due = math.inf
 
     @property
     def realised(self) -> float:
@@ -70,25 +76,38 @@ class Withheld:
 
     def begin(self, time: float) -> None:
         """A filter has begun, whose newest sample is at `time`, s; what is known stays."""
-        self._followed, self.due = -1, (math.floor(time / PERIOD) + 1.0) * PERIOD
+        self._followed, self._next = -1, (math.floor(time / PERIOD) + 1.0) * PERIOD
+        self.due = self._next
 
     def stop(self) -> None:
         """Have no more copies."""
-        self._followed, self.due = -1, math.inf
+        self._followed, self._next, self.due = -1, math.inf, math.inf
 
     def before(self, time: float, memory: np.ndarray) -> None:
         """Do what is due before the sample at `time`, s, of the filter with `memory`."""
-        slot, newest = math.floor(time / PERIOD) * PERIOD, int(memory[Head.SAMPLES])
-        if self._followed >= 0 and not follow(self._small.memory, memory, self._followed, self._withheld):
-            self._followed = -1
-        if self._followed >= 0 and time >= self._age:
+        if self._followed >= 0:
+            self._go_on(time, memory)
+        if self._followed < 0 and time >= self._next:
+            self._copy(time, memory)
+        if self._followed < 0:
+            self.due = self._next
+        else:
+            self._age = next(self._slot + age for age in AGES if self._slot + age > time)
+            self.due = min(self._age, time + _held(memory))
+
+    def _copy(self, time: float, memory: np.ndarray) -> None:
+        self._small.take(memory)
+        self._followed, self._place = int(memory[Head.SAMPLES]), self._latitude_longitude(newest_row(memory))
+        self._count += 1
+        self._slot = math.floor(time / PERIOD) * PERIOD
+        self._next = self._slot + PERIOD * (1 if self._count < FIRST else APART)
+
+    def _go_on(self, time: float, memory: np.ndarray) -> None:
+        """Have the copy follow the filter with `memory`, and compare both where that is due."""
+        complete = follow(self._small.memory, memory, self._followed, self._withheld)
+        if complete and time >= self._age:
             self._compare(memory)
-        if self._followed < 0 or slot > self._slot:
-            self._small.take(memory)
-            self._slot, self._place = slot, self._latitude_longitude(newest_row(memory))
-        self._followed = newest
-        self._age = next(slot + age for age in AGES if slot + age > time)
-        self.due = min(self._age, time + _held(memory))
+        self._followed = int(memory[Head.SAMPLES]) if complete and time < self._slot + AGES[-1] else -1
 
     def _compare(self, memory: np.ndarray) -> None:
         """Learn from the difference between the copy and the filter with `memory`, at the time that is due."""
@@ -108,6 +127,7 @@ class Withheld:
 
     def warm_up(self, memory: np.ndarray) -> None:
         """Compile or load what is compiled. memory: of a filter that has begun."""
+        self.begin(-PERIOD)
         self.before(0.0, memory)
         follow(self._small.memory, memory, self._followed, self._withheld)
         learn_changes(np.zeros(Scale.CHANGING_SIZE), 0, 1.0, 1.0, 1.0, 0.0, 2, WEIGHT)
