@@ -9,7 +9,7 @@ from live_support import fed
 
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run_with_outages
-from mems_ins_fusion.filter.runs.withheld import AGES, PERIOD, WEIGHT
+from mems_ins_fusion.filter.runs.withheld import AGES, APART, FIRST, PERIOD, WEIGHT, Withheld
 from mems_ins_fusion.filter.trust.scale import Scale, learn_changes, scale
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.samples import Aiding as Measured
@@ -68,7 +68,7 @@ def test_it_is_what_outages_of_a_replay_show():
 
 @pytest.mark.parametrize('worse, least, most', [(0.25, 0.05, 0.8), (3.0, 2.0, 20.0)])
 def test_sensors_that_are_better_or_worse_than_assumed(worse, least, most):
-    assert least < realised(drive(worse=worse)) < most
+    assert least < realised(drive(PERIOD * (FIRST + 6 * APART) + 5.0, worse)) < most  # twelve copies
 
 
 def test_what_says_nothing_of_errors_while_driving():
@@ -76,6 +76,26 @@ def test_what_says_nothing_of_errors_while_driving():
     standing, driving = drive(200.0, 3.0, standstill=300.0), drive(200.0, 3.0)
     assert realised(standing, **{'vehicle.zero_velocity': False, 'alignment.heading': 'parameter'}) == 1.0
     assert realised(driving, fixes_until=PERIOD - 1.0) == 1.0
+
+
+def test_copies_follow_each_other_at_first_and_are_rare_later(monkeypatch):
+    begun, copy = [], Withheld._copy
+
+    def noted(self, time, memory):
+        begun.append(time)
+        copy(self, time, memory)
+    monkeypatch.setattr(Withheld, '_copy', noted)
+    realised(drive(PERIOD * (FIRST + 2 * APART) + 5.0))
+    late = FIRST + APART * np.arange(1, 3)
+    assert begun == pytest.approx(PERIOD * np.array([*range(1, FIRST + 1), *late]), abs=0.05)
+
+
+def test_a_memory_of_few_samples_is_followed_in_time():
+    # given a filter that keeps ten seconds of samples, a third of what a copy takes
+    recording = drive(170.0, 3.0)
+    short, long = realised(recording, **{'gnss.max_delay': 0.1}), realised(recording)
+    # then its copies miss none
+    assert long > 1.5 and short == pytest.approx(long, rel=0.01)
 
 
 @pytest.mark.parametrize('inputs', [(), ('speed',)])

@@ -2,9 +2,11 @@
 
     python studies/benchmarks/count_instructions.py
 
-The cases of bench_filter.py with what a replay keeps of each state. Needs valgrind with its headers, and a C compiler:
-so small a library as below switches the counting on behind the imports. The code is compiled for a processor that
-valgrind knows, in a cache of its own (a few minutes the first time).
+The cases of bench_filter.py with what a replay keeps of each state; the defaults with the copies without fixes for the
+trust horizon (`runs/withheld.py`), and all that is Python of them: in the first minutes, where they follow each other
+at once, and later, beside the same playback without copies. Needs valgrind with its headers, and a C compiler: so small
+a library as below switches the counting on behind the imports. The code is compiled for a processor that valgrind
+knows, in a cache of its own (a few minutes the first time).
 """
 from __future__ import annotations
 
@@ -21,7 +23,10 @@ import numpy as np
 from bench_filter import CASES, NO_EVENTS, recording, started
 
 from mems_ins_fusion.filter.kernel import run
+from mems_ins_fusion.filter.memory import Event
+from mems_ins_fusion.filter.runs.replay import Copies, Events, Playback
 from mems_ins_fusion.filter.runs.results import columns
+from mems_ins_fusion.filter.runs.withheld import APART, FIRST
 
 #: samples before the count, and in it
 WARM, COUNTED = 1000, 3000
@@ -50,9 +55,30 @@ def run_case(values: dict, switch) -> None:
             switch.off()
 
 
+def run_copies(switch) -> None:
+    """Counted three times, over the samples of whole copies: the defaults with the second copy, with those after
+    FIRST copies, and without."""
+    later = FIRST + APART
+    samples, fixes, arrival = recording((later + APART + 1) * COUNTED / 6000 + 0.1)
+    numbers = np.arange(len(fixes))
+    fixes[:, Event.ID] = numbers
+    config, memory = started({})
+    names, kept = columns(config.layout), np.arange(len(samples))
+    work = Playback(samples, Events(numbers, numbers, arrival, fixes, 0 * numbers), names, kept,
+                    np.zeros((len(samples), len(names))))
+    copies = Copies(config, work, 0.0)
+    for begin, end in ((2, 3), (later, later + APART)):
+        copies.advance(memory, begin * COUNTED)
+        switch.on()
+        copies.advance(memory, end * COUNTED)
+        switch.off()
+    switch.on()
+    work.advance(memory, (later + APART + 1) * COUNTED)
+    switch.off()
 def run_all(switch) -> None:
     for values in CASES.values():
         run_case(values, switch)
+    run_copies(switch)
 
 
 def main() -> None:
@@ -69,10 +95,13 @@ def main() -> None:
                         '--collect-atstart=no', f'--callgrind-out-file={here}/count', sys.executable, __file__,
                         str(here / 'switch.so')], env=environment, check=True)
         counts = [int(re.search(r'^totals: (\d+)', (here / f'count.{i + 1}').read_text(), re.M)[1])
-                  for i in range(2 * len(CASES))]
+                  for i in range(2 * len(CASES) + 3)]
     print('instructions a sample')
     for name, without, whole in zip(CASES, counts[::2], counts[1::2]):
         print(f'{name:13} {(whole - without) / COUNTED:7.0f}')
+    first, later, without = counts[-3:]
+    print(f'with copies   {first / COUNTED:7.0f} ({first / without:.3f} times), later {later / (APART * COUNTED):.0f} '
+          f'({later / (APART * without):.3f} times)')
 
 
 if __name__ == '__main__':

@@ -23,10 +23,8 @@ from ..config import FilterConfig
 from ..constraints import constrain
 from ..measurements import speed
 from ..measurements.geometry import body_to_level
-from ..measurements.wheel_vibration import Wheels
 from ..memory import (
     NAV,
-    NEWEST,
     Event,
     Head,
     Kind,
@@ -35,7 +33,6 @@ from ..memory import (
     element_at,
     nonnegative,
     sample_at,
-    scratch_size,
     state_at,
     variance_factor,
     views,
@@ -45,11 +42,9 @@ from ..trust.inputs import SPEED_CORRELATION
 from ..trust.receiver import Receiver
 from ..trust.scale import Scale, scale, seen_of
 from ..update import begin_update, end_update, update
+from .newest import STEP, NewestState
 from .odometry import added_covariance
 
-#: s, step of the prediction: constraints have the same weight at this interval as at CONSTRAINT_INTERVAL
-#: (`constraints.LARGEST_DIVISOR`)
-STEP = 0.2
 #: s, longest horizon. A longer one would cost time, and after minutes the error depends on what the vehicle does
 LONGEST = 120.0
 EXCEEDED = 0.05  # probability of an error above the limit at which the horizon ends
@@ -78,16 +73,8 @@ class HorizonPredictor:
 
     def __init__(self, config: FilterConfig):
         self._limit, self._speed = config.parameters['horizon.limit'], config.parameters['horizon.speed']
-        memory = config.memory()
-        self._width, self._rows = int(memory[Head.WIDTH]), int(memory[Head.ROWS_AT])
         # three rows: two for the prediction, one that keeps the statistics of the inputs
-        self._ring = self._rows + 3 * self._width
-        self._events = self._ring + Sample.SIZE
-        scratch = self._events + Event.SIZE
-        self._copy = np.zeros(scratch + scratch_size(config.layout.n))
-        self._head = {Head.CAPACITY: NEWEST, Head.EVENT_CAPACITY: 1, Head.EVENTS: 0, Head.RING_AT: self._ring,
-                      Head.EVENTS_AT: self._events, Head.SCRATCH_AT: scratch, Head.HISTORY_AT: 0, Wheels.AT: 0,
-                      Head.MAX_GAP: math.inf}
+        self._small = NewestState(config, 3, 1, 1)
 
     def predict(self, memory: np.ndarray, exceeded: float = EXCEEDED,
                 added: tuple[float, float, float] = (0.0, 0.0, 0.0), realised: float = 1.0) -> Horizon:
@@ -97,16 +84,12 @@ class HorizonPredictor:
         the published position (`Blending.left`): north and east, m, and the time in which it falls to zero, s.
         realised: realised over expected variance of the errors without fixes (`Withheld.realised`).
         """
-        copy, newest, width = self._copy, int(memory[Head.SAMPLES]), self._width
-        state, sample = state_at(memory, newest), sample_at(memory, newest)
-        copy[:self._rows] = memory[:self._rows]
-        for row in (0, 2):
-            copy[self._rows + row * width:][:width] = memory[state:state + width]
-            copy[self._rows + row * width + Nav.LASTING] *= _mean_over_used(memory, state + Receiver.LASTING_SCALE)
-        copy[self._ring:self._events] = memory[sample:sample + Sample.SIZE]
-        copy[self._events:][:Event.SIZE], interval = _wheel_speed(memory, memory[state + Nav.TIME])
-        for column, value in self._head.items():
-            copy[column] = value
+        copy, width = self._small.take(memory), int(memory[Head.WIDTH])
+        first, state = state_at(copy, 0), state_at(memory, int(memory[Head.SAMPLES]))
+        copy[first + Nav.LASTING] *= _mean_over_used(memory, state + Receiver.LASTING_SCALE)
+        copy[first + 2 * width:][:width] = copy[first:][:width]
+        copy[int(copy[Head.EVENTS_AT]):][:Event.SIZE], interval = _wheel_speed(memory, memory[state + Nav.TIME])
+        copy[Head.MAX_GAP] = math.inf
         return Horizon(*_predict(copy, self._limit, self._speed, interval, exceeded, *added, realised))
 
 

@@ -181,8 +181,6 @@ class FusionFilter(FilterStatus):
         if sample[0, 0] >= self._withheld.due:
             self._withheld.before(float(sample[0, 0]), self._memory)
         self._filter(self._memory, sample, self._log, self._none)
-        if self._withheld.copy is not None:
-            self._filter(self._withheld.copy, sample, self._log, self._none)
         if self._memory[Imu.FAULTS:Imu.FAULTS + Fault.SIZE].tobytes() != self._said_faults:
             self._say_faults(stamp)
         if self._pending:
@@ -253,8 +251,6 @@ class FusionFilter(FilterStatus):
             return
         record[Event.ID] = self._ids
         self._ids += 1
-        if self._withheld.copy is not None and not self.config.inputs[kind].from_satellites:
-            self._filter(self._withheld.copy, self._sample[:0], records.copy(), self._before)
         answer = self._filter(self._memory, self._sample[:0], records, self._before)
         if answer != TAKEN:
             self.say_not_taken(kind, answer, stamp, self._now)

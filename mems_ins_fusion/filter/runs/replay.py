@@ -88,8 +88,8 @@ def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin:
     """The ordinary run, and the runs in which all measurements from satellites after each `begin` are withheld.
 
     begin: (o,) ns, ascending. duration: s, length of all outages or of each (o,), which may end with the recording.
-    keep, start: as for `run`. announces: whether the trust horizon is asked for, which takes as long as the run itself:
-    what copies without fixes have shown until then is part of it (withheld.py). Outages that begin while the filter is
+    keep, start: as for `run`. announces: whether the trust horizon is asked for: what copies without fixes have shown
+    until then is part of it (withheld.py). Outages that begin while the filter is
     not running are left out.
     """
     work = Replay(config, imu, fixes, aiding, start, keep, np.asarray(begin, dtype=np.int64), duration)
@@ -262,7 +262,7 @@ class Replay(Intake):
         events.record[:, Event.ID] = np.arange(len(events.kind))
         work = Playback(samples, events, self.columns, kept, states)
         branches, horizon, spare = {}, HorizonPredictor(self.config), np.zeros(len(memory))
-        copies = Copies(self.config, work, withheld, self._began) if self.announces and outages else None
+        copies = Copies(self.config, work, self._began) if self.announces and outages else None
         for i in np.argsort(forks, kind='stable'):
             (work if copies is None else copies).advance(memory, forks[i])
             begin, duration = outages[i]
@@ -419,12 +419,11 @@ class Playback:
 
 class Copies:
     """Copies without fixes of a filter in a replay (withheld.py), as a live filter has them. work: the playback of the
-    filter. withheld: which of its events they do not get, (k,) bool. began: s, of the newest sample at its begin."""
+    filter. began: s, of the newest sample at its begin."""
 
-    def __init__(self, config: FilterConfig, work: Playback, withheld: np.ndarray, began: float):
-        self._copies, self._work, self._withheld = Withheld(config), work, withheld
+    def __init__(self, config: FilterConfig, work: Playback, began: float):
+        self._copies, self._work = Withheld(config), work
         self._copies.begin(began)
-        self._playback: Playback | None = None
 
     @property
     def realised(self) -> float:
@@ -433,18 +432,11 @@ class Copies:
 
     def advance(self, memory, stop: int) -> None:
         """As of `Playback`, for filter and copies."""
-        work, time = self._work, self._work.samples[:, 0]
+        time = self._work.samples[:, 0]
         while (due := int(np.searchsorted(time, self._copies.due))) < stop:
-            self._both(memory, due)
-            if self._copies.before(float(time[due]), memory):
-                left = work.events.select(~(self._withheld & (work.events.arrival >= due)))
-                self._playback = Playback(work.samples, left, work.columns, work.kept[:0], work.states[:0], work)
-        self._both(memory, stop)
-
-    def _both(self, memory, stop: int) -> None:
+            self._work.advance(memory, due)
+            self._copies.before(float(time[due]), memory)
         self._work.advance(memory, stop)
-        if self._playback is not None:
-            self._playback.advance(self._copies.copy, stop)
 
 
 def _announced(horizon: HorizonPredictor, memory: np.ndarray, begin: float, realised: float) -> float:

@@ -1,11 +1,11 @@
 """How far positions without fixes really are off, over what the filter expects: a factor for the trust horizon.
 
-At the begin of each PERIOD the filter is copied, and the copy goes on without fixes. After each of AGES its position is
-compared with that of the filter. Both have the past in common, so that the difference d has the covariance P_copy -
-P_filter, and what is wrong with both, as slow errors of a receiver, is not in it. Its normalized square is one
-deviation for the scale (trust/scale.py) of realised over expected variance. A scale above 1 is used as it is, below 1
-only as far as that is certain. The filter itself does not use it: its gains depend on ratios of variances, and which
-part of P a difference comes from does not show.
+At the begin of a PERIOD the newest state of the filter is copied, and the copy goes on without fixes, in steps of
+several samples (coarse.py). After each of AGES its position is compared with that of the filter. Both have the past in
+common, so that the difference d has the covariance P_copy - P_filter, and what is wrong with both, as slow errors of a
+receiver, is not in it. Its normalized square is one deviation for the scale (trust/scale.py) of realised over expected
+variance. A scale above 1 is used as it is, below 1 only as far as that is certain. The filter itself does not use it:
+its gains depend on ratios of variances, and which part of P a difference comes from does not show.
 """
 from __future__ import annotations
 
@@ -13,13 +13,30 @@ import math
 
 import numpy as np
 
-from ..bank import copied
 from ..config import FilterConfig
-from ..memory import Nav, covariance, newest_row, variance_factor
+from ..memory import (
+    Event,
+    Head,
+    Kind,
+    Nav,
+    Sample,
+    covariance,
+    event_at,
+    newest_row,
+    sample_at,
+    time_of,
+    variance_factor,
+)
 from ..trust.scale import Scale, learn_changes, scale
+from .coarse import follow
+from .newest import NewestState
 from .odometry import corrected
 
-PERIOD = 30.0  # s from one copy to the next: as long as most outages in a town, and twenty in ten minutes
+PERIOD = 30.0  # s, of a copy: as long as most outages in a town
+FIRST = 6  # copies that follow each other at once: three minutes show most of what is usual for a vehicle
+#: number of periods from the begin of a copy to that of the next one after those: a copy costs 0.18 of the filter's
+#: work, of which 0.05 may be left, and a change of the road or the sensors shows after two minutes
+APART = 4
 #: s without fixes after which a copy is compared: errors of the velocity decide after the first, of heading, tilt and
 #: gyroscopes after the second
 AGES = (10.0, PERIOD)
@@ -36,18 +53,21 @@ LATEST = 1.0  # s: where no samples came for longer, nothing is compared
 class Withheld:
     """Copies of a filter with `config` from which fixes are withheld, one after the other.
 
-    due: s, time of a sample before which `before` has to be called. copy: memory of the present copy, which has to get
-    the same samples and measurements as the filter, but those from satellites; None before the first one.
+    due: s, time of a sample before which `before` has to be called.
     """
 
     def __init__(self, config: FilterConfig):
         self._layout, self._open_loop = config.layout, config.open_loop
         self._rows = np.array(config.layout.rows, dtype=float)
         self._scale = np.zeros(Scale.CHANGING_SIZE)
-        self._spare: np.ndarray | None = None  # room for copies
-        self._slot, self._place = 0.0, (0.0, 0.0)  # s, begin of the present PERIOD, and rad, where the copy began
-        self.copy: np.ndarray | None = None
-        self.due = math.inf
+        # two states, two between samples
+        self._small = NewestState(config, 4, 2, config.event_capacity)
+        self._withheld = _from_satellites(config)
+        self._count = 0  # of copies so far
+        self._slot, self._place = 0.0, (0.0, 0.0)  # s, begin of the PERIOD of the copy, and rad, where it began
+        self._followed = -1  # number of the sample up to which the copy has followed; -1: there is no copy
+        # s: time at which the copy is compared, and at which the next one begins
+        self._age = self._next = self.due = math.inf
 
     @property
     def realised(self) -> float:
@@ -56,31 +76,45 @@ class Withheld:
 
     def begin(self, time: float) -> None:
         """A filter has begun, whose newest sample is at `time`, s; what is known stays."""
-        self.copy, self.due = None, (math.floor(time / PERIOD) + 1.0) * PERIOD
+        self._followed, self._next = -1, (math.floor(time / PERIOD) + 1.0) * PERIOD
+        self.due = self._next
 
     def stop(self) -> None:
         """Have no more copies."""
-        self.copy, self.due = None, math.inf
+        self._followed, self._next, self.due = -1, math.inf, math.inf
 
-    def before(self, time: float, memory: np.ndarray) -> bool:
-        """Do what is due before the sample at `time`, s, of the filter with `memory`; whether another copy begins."""
-        if self.copy is not None:
+    def before(self, time: float, memory: np.ndarray) -> None:
+        """Do what is due before the sample at `time`, s, of the filter with `memory`."""
+        if self._followed >= 0:
+            self._go_on(time, memory)
+        if self._followed < 0 and time >= self._next:
+            self._copy(time, memory)
+        if self._followed < 0:
+            self.due = self._next
+        else:
+            self._age = next(self._slot + age for age in AGES if self._slot + age > time)
+            self.due = min(self._age, time + _held(memory))
+
+    def _copy(self, time: float, memory: np.ndarray) -> None:
+        self._small.take(memory)
+        self._followed, self._place = int(memory[Head.SAMPLES]), self._latitude_longitude(newest_row(memory))
+        self._count += 1
+        self._slot = math.floor(time / PERIOD) * PERIOD
+        self._next = self._slot + PERIOD * (1 if self._count < FIRST else APART)
+
+    def _go_on(self, time: float, memory: np.ndarray) -> None:
+        """Have the copy follow the filter with `memory`, and compare both where that is due."""
+        complete = follow(self._small.memory, memory, self._followed, self._withheld)
+        if complete and time >= self._age:
             self._compare(memory)
-        slot = math.floor(time / PERIOD) * PERIOD
-        anew = self.copy is None or slot > self._slot
-        if anew:
-            self._spare = np.zeros(len(memory)) if self._spare is None else self._spare
-            self.copy, self._slot = copied(memory, self._spare), slot
-            self._place = self._latitude_longitude(newest_row(memory))
-        self.due = next(slot + age for age in AGES if slot + age > time)
-        return anew
+        self._followed = int(memory[Head.SAMPLES]) if complete and time < self._slot + AGES[-1] else -1
 
     def _compare(self, memory: np.ndarray) -> None:
         """Learn from the difference between the copy and the filter with `memory`, at the time that is due."""
-        row, copy = newest_row(memory), newest_row(self.copy)
+        row, copy = newest_row(memory), newest_row(self._small.memory)
         place, metre = self._latitude_longitude(row), row[[Nav.NORTH_SCALE, Nav.EAST_SCALE]]
         driven = np.subtract(place, self._place) / metre
-        if row[Nav.TIME] < self.due - LATEST or math.hypot(*driven) < DRIVEN:
+        if row[Nav.TIME] < self._age - LATEST or math.hypot(*driven) < DRIVEN:
             return
         without, with_fixes = (variance_factor(one, 0) * covariance(one, self._layout)[:2, :2] for one in (copy, row))
         variance, axes = np.linalg.eigh(without)
@@ -93,9 +127,31 @@ class Withheld:
 
     def warm_up(self, memory: np.ndarray) -> None:
         """Compile or load what is compiled. memory: of a filter that has begun."""
+        self.begin(-PERIOD)
         self.before(0.0, memory)
+        follow(self._small.memory, memory, self._followed, self._withheld)
         learn_changes(np.zeros(Scale.CHANGING_SIZE), 0, 1.0, 1.0, 1.0, 0.0, 2, WEIGHT)
         scale(self._scale, 0)
 
     def _latitude_longitude(self, row: np.ndarray) -> tuple[float, float]:
         return corrected(row, 0, self._rows, self._open_loop)[:2]
+
+
+def _held(memory: np.ndarray) -> float:
+    """For how long, s, samples and measurements stay in the memory: half of it (a quarter of the measurements, as the
+    older half is dropped at once), at the newest sample's interval and the measurements' rate."""
+    newest, count = int(memory[Head.SAMPLES]), int(memory[Head.EVENTS])
+    samples = 0.5 * memory[Head.CAPACITY] * memory[sample_at(memory, newest) + Sample.INTERVAL]
+    if count == 0:
+        return samples
+    since = time_of(memory, newest) - memory[event_at(memory, 0) + Event.TIME]
+    return min(samples, 0.25 * memory[Head.EVENT_CAPACITY] * max(since, 0.0) / count)
+
+
+def _from_satellites(config: FilterConfig) -> np.ndarray:
+    """Whether measurements with an `Event.INPUT` are from satellites, (k,)."""
+    withheld = np.ones(1 + len(config.sensors))
+    for kind, measurement in config.inputs.items():
+        if kind != Kind.POSITION and config.settings_of(kind).topic:
+            withheld[int(config.of_input(kind)[0])] = measurement.from_satellites
+    return withheld

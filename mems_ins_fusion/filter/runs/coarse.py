@@ -1,0 +1,99 @@
+"""Let a small copy of a filter (newest.py) go on without fixes, in steps of several of the filter's samples.
+
+The samples of a step become one: with the rotation that they make together, and the mean specific force in the axes of
+the middle of the step, both to second order in the rotation since then, so that turns and fast vibrations (coning,
+sculling) have the same effect as sample by sample. All that a single sample
+shows, as faults and standstills, is what the filter itself has seen. A step costs what a sample of the filter costs,
+and there is one for twenty samples at 100 Hz.
+"""
+from __future__ import annotations
+
+from mems_ins_fusion.compiled import njit
+
+from ..advance import advance
+from ..memory import Event, Head, Nav, Sample, event_at, nonnegative, sample_at, state_at
+from .newest import STEP
+
+
+@njit(_nrt=False)
+def follow(copy, memory, after, withheld):
+    """Let `copy`, whose state 0 is that after sample `after` of `memory`, go on to the newest sample of it.
+
+    withheld: whether the measurements with this `Event.INPUT` are withheld from the copy, (k,). What arrived too late
+    for the step that it belongs to is left out. Returns False where `memory` does not have all samples any more.
+    """
+    k, newest = after + 1, int(memory[Head.SAMPLES])
+    if newest - after > int(memory[Head.CAPACITY]):
+        return False
+    first, last = nonnegative(state_at(copy, 0)), nonnegative(state_at(copy, 1))
+    event, begin = int(memory[Head.EVENTS]), copy[first + Nav.TIME]
+    while event > 0 and memory[event_at(memory, event - 1) + Event.TIME] > begin:
+        event -= 1
+    while k <= newest:
+        k = _merge(copy, memory, k, newest)
+        event = _take_inputs(copy, memory, event, withheld)
+        advance(copy, 1)
+        for i in range(int(copy[Head.WIDTH])):
+            copy[first + i] = copy[last + i]
+    return True
+
+
+@njit(_nrt=False)
+def _merge(copy, memory, k, newest):
+    """Write the samples from k on of one step of `memory` to sample 1 of `copy`; returns the number of the next one.
+
+    A gap (`imu.max_gap`) is a step of its own.
+    """
+    at, to = nonnegative(sample_at(memory, k)), nonnegative(sample_at(copy, 1))
+    # rad, from the expected middle of the step: at its begin, and so far
+    half = -0.5 * max(STEP, memory[at + Sample.INTERVAL])
+    b_x, b_y, b_z = half * memory[at + Sample.W_X], half * memory[at + Sample.W_Y], half * memory[at + Sample.W_Z]
+    a_x, a_y, a_z = b_x, b_y, b_z
+    step = v_x = v_y = v_z = cone_x = cone_y = cone_z = 0.0
+    while k <= newest:
+        one = nonnegative(sample_at(memory, k))
+        dt = memory[one + Sample.INTERVAL]
+        if step > 0.0 and (step + 0.5 * dt > STEP or dt > memory[Head.MAX_GAP]):
+            break
+        at, k, step = one, k + 1, step + dt
+        f_x, f_y, f_z = dt * memory[at + Sample.F_X], dt * memory[at + Sample.F_Y], dt * memory[at + Sample.F_Z]
+        d_x, d_y, d_z = dt * memory[at + Sample.W_X], dt * memory[at + Sample.W_Y], dt * memory[at + Sample.W_Z]
+        c_x, c_y, c_z = _cross(a_x - b_x, a_y - b_y, a_z - b_z, d_x, d_y, d_z)
+        cone_x, cone_y, cone_z = cone_x + 0.5 * c_x, cone_y + 0.5 * c_y, cone_z + 0.5 * c_z
+        m_x, m_y, m_z = a_x + 0.5 * d_x, a_y + 0.5 * d_y, a_z + 0.5 * d_z
+        c_x, c_y, c_z = _cross(m_x, m_y, m_z, f_x, f_y, f_z)
+        e_x, e_y, e_z = _cross(m_x, m_y, m_z, c_x, c_y, c_z)
+        v_x, v_y, v_z = v_x + f_x + c_x + 0.5 * e_x, v_y + f_y + c_y + 0.5 * e_y, v_z + f_z + c_z + 0.5 * e_z
+        a_x, a_y, a_z = a_x + d_x, a_y + d_y, a_z + d_z
+        if dt > memory[Head.MAX_GAP]:
+            break
+    for i in range(Sample.SIZE):
+        copy[to + i] = memory[at + i]
+    if step > 0.0:
+        c_x, c_y, c_z = _cross(0.5 * (a_x + b_x), 0.5 * (a_y + b_y), 0.5 * (a_z + b_z), v_x, v_y, v_z)
+        copy[to + Sample.F_X], copy[to + Sample.F_Y] = (v_x - c_x) / step, (v_y - c_y) / step
+        copy[to + Sample.F_Z], copy[to + Sample.W_X] = (v_z - c_z) / step, (a_x - b_x + cone_x) / step
+        copy[to + Sample.W_Y], copy[to + Sample.W_Z] = (a_y - b_y + cone_y) / step, (a_z - b_z + cone_z) / step
+        copy[to + Sample.INTERVAL] = step
+    return k
+
+
+@njit(inline='always')
+def _cross(a_x, a_y, a_z, b_x, b_y, b_z):
+    return a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x
+
+
+@njit(_nrt=False)
+def _take_inputs(copy, memory, event, withheld):
+    """Have the measurements of `memory` from number `event` on that belong to the step, and are not withheld, in
+    `copy`; returns the number of the next one."""
+    count, end = 0, copy[nonnegative(sample_at(copy, 1)) + Sample.TIME]
+    while event < int(memory[Head.EVENTS]) and memory[event_at(memory, event) + Event.TIME] <= end:
+        at, to = event_at(memory, event), event_at(copy, count)
+        if withheld[int(memory[at + Event.INPUT])] == 0.0:
+            for c in range(Event.SIZE):
+                copy[to + c] = memory[at + c]
+            count += 1
+        event += 1
+    copy[Head.EVENTS] = count
+    return event
