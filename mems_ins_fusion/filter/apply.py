@@ -33,7 +33,8 @@ from .trust.fix_drift import FixDrift
 from .trust.hypotheses import Hypothesis
 from .trust.receiver import Receiver
 from .trust.scale import seen_of
-from .trust.standstill import note_speed, shown_speed
+from .trust.standstill import note_speed, shown_speed, stands
+from .trust.usual_speed import learn_speed
 from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
 
 #: number of fixes. Up to this many refused in a row are taken for outliers: they are not used as the end of a
@@ -117,6 +118,8 @@ def _apply_fix(mem, r, at):
         hypotheses.add_move(mem, r, r + Receiver.MOVED, before, after)
     receiver.learn(mem, r, at, left_n, left_e)
     learn_drift(mem, r)
+    if verdict == Verdict.USED and not stands(mem, r):
+        learn_speed(mem, r, mem[at + Event.TIME])
 
 
 @njit(_nrt=False)

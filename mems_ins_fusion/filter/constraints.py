@@ -21,7 +21,7 @@ from .memory import (
     yaw_state,
 )
 from .prediction import set_radii
-from .trust import contradiction, gyroscopes, hypotheses, new_start
+from .trust import contradiction, gyroscopes, hypotheses, new_start, usual_speed
 from .trust.force_noise import force_noise
 from .trust.standstill import Standing, is_contradicted, wheels_turn
 from .trust.white_noise import Shown, hides_turns
@@ -98,6 +98,10 @@ def constrain(mem, r, sample):
             dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
             _constrain_motion(mem, r, at, n, h, dimensions, since)
             _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)
+        if usual_speed.bounds(mem, r):
+            clear_rows(mem, h, n)
+            dimensions = usual_speed.observe(mem, r, at, h, n, since)
+            update(mem, r, at, n, dimensions, 1.0, 1.0, ROBUST, 0.0, 0.0)
     else:
         store_covariance(mem, p, int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), mem, r)
         return

@@ -140,6 +140,12 @@ def is_contradicted(mem, r):
 
 
 @njit(_nrt=False)
+def stands(mem, r):
+    """Whether a standstill has been applied lately to the state at r."""
+    return mem[r + Nav.TIME] - mem[r + Standing.TIME] < LONGEST_VALID
+
+
+@njit(_nrt=False)
 def shown_speed(mem, r, at, variance):
     """Speed, m/s, and distance, m, of the fixes since the begin of a standstill, the latest of them at `at`; zeros
     where they do not contradict it.
@@ -147,10 +153,9 @@ def shown_speed(mem, r, at, variance):
     variance: of a component of the fix, as fixes scatter, m^2.
     """
     line, time = r + Standing.LINE, mem[at + Event.TIME]
-    stands = time - mem[r + Standing.TIME] < LONGEST_VALID
-    if not stands or time - mem[line + Line.SINCE] > LONGEST_LINE or mem[r + Nav.REFUSED] > 0.0:
+    if not stands(mem, r) or time - mem[line + Line.SINCE] > LONGEST_LINE or mem[r + Nav.REFUSED] > 0.0:
         mem[line + Line.COUNT] = 0.0
-    if not stands:
+    if not stands(mem, r):
         return 0.0, 0.0
     if mem[line + Line.COUNT] == 0.0:
         begin_line(mem, line, time)
