@@ -330,3 +330,24 @@ def test_what_parameters_were_fitted_to_is_known_by_its_content(tmp_path):
     parts = [replace(again, gnss=again.gnss.select(part)) for part in (slice(0, half), slice(half, None))]
     assert any(fitted_to(part, known) for part in parts)
     assert fitted_to(other, sketch([one.gnss, other.gnss]))
+
+
+def test_each_parameter_that_is_changed_is_told_with_its_reason():
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_answer import settings_texts
+
+    # given a file with an effect, a noise level and a switched setting
+    values = {'gnss.time_offset': 0.0, 'gyroscope.gauss_markov.sigma': [0.001], 'imu.adapt_noise': True, 'other': 1.0}
+    effect = SimpleNamespace(added=True, changes={'gnss.time_offset': 0.2}, name='gnss_time_offset', parameters={})
+    d = SimpleNamespace(
+        values=values, noise={'gyroscope.gauss_markov.sigma': 0.316}, findings=[effect],
+        corrected={**values, 'gnss.time_offset': 0.2, 'gyroscope.gauss_markov.sigma': [0.000316],
+                   'imu.adapt_noise': False},
+        remarks=['It is no noise: positions are predicted better with imu.adapt_noise: false.'])
+    # then the effect is told as such, and of the others what is set and why
+    level, switch = settings_texts(d)
+    assert level == ('corrected.yaml sets gyroscope.gauss_markov.sigma to [0.000316]: noise level with which this '
+                     'drive is predicted best: 0.316 times as configured, [0.001].')
+    assert switch.startswith('corrected.yaml sets imu.adapt_noise to false: It is no noise')
+    assert switch.endswith('before: true.')

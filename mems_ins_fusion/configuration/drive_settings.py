@@ -108,8 +108,10 @@ def _mounting_setting(found: Mounting, told: np.ndarray | None) -> Setting:
             'show the yaw',))
     angles = np.degrees(found.rpy)
     sigma = np.degrees(found.sigma)
-    why = [f'roll {angles[0]:.1f}, pitch {angles[1]:.1f}, yaw {angles[2]:.1f} deg; sigma {sigma[0]:.1f}, '
-           f'{sigma[1]:.1f}, {sigma[2]:.1f} deg about forward, left and up']
+    level = f'roll {angles[0]:.1f}, pitch {angles[1]:.1f}'
+    why = [f'{level}, yaw {angles[2]:.1f} deg; sigma {sigma[0]:.1f}, {sigma[1]:.1f}, {sigma[2]:.1f} deg about forward, '
+           'left and up' if found.yaw_known else
+           f'{level} deg; sigma {sigma[0]:.1f}, {sigma[1]:.1f} deg about forward and left']
     why += [f'{way.source} alone: {_degrees(way.angle[0], way.sigma[0])} from this about forward, '
             f'{_degrees(way.angle[1], way.sigma[1])} about left' for way in found.level]
     if found.spans is not None:
@@ -131,7 +133,7 @@ def _angle_of_level(found: Mounting, told: np.ndarray) -> float:
 
 
 def _degrees(angle, sigma) -> str:
-    return f'{math.degrees(angle):+.1f} +- {max(math.degrees(sigma), 0.1):.1f} deg'
+    return f'{round(math.degrees(angle), 1) + 0.0:+.1f} +- {max(math.degrees(sigma), 0.1):.1f} deg'
 
 
 def _time_offset_setting(offset) -> Setting:
@@ -254,7 +256,7 @@ def vehicle_settings(drives):
 def _threshold(name: str, rest: float, drive: float) -> Setting:
     """Between `rest` and `drive` by ratio; where they are alike, a little above rest."""
     between, least = math.sqrt(rest * drive), 1.2 * rest
-    why = 'between rest and motion' if between > least else 'a little above rest, as quiet motion is hardly louder'
+    why = 'between rest and motion' if between > least else 'a little above rest: quiet motion scatters as little'
     return Setting(name, float(f'{max(between, least):.2g}'), (why,))
 
 

@@ -16,7 +16,7 @@ from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked
 from ..recordings.findings import checked_text
 from .answer import BAD, GOOD, WARNING, YOURS, Answer, Step, cure, let_configure, topics_of
-from .diagnosis import capital, changed, cost, rounded_value, this, unexplained_text
+from .diagnosis import capital, changed, cost, origin, rounded_value, this, unexplained_text
 from .effect_words import check, looks_the_same, size, what
 from .verdict import because, change_text, trust_text
 
@@ -33,7 +33,7 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, bags: Sequ
     """
     d = diagnosis
     out = [f'{name} was left out: {why}' for name, why in d.left_out.items()]
-    found = [found_text(f, d) for f in d.findings if f.added]
+    found = [found_text(f, d) for f in d.findings if f.added] + settings_texts(d)
     shown = [shown_text(d.detections['before'])] if d.detections['before'].lacking else []
     # what is corrected needs no warning; what names a parameter says more than what innovations show
     said = [f for f in checked if f.severity != INFO and not set(f.settings) & set(changed(d))]
@@ -46,7 +46,8 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, bags: Sequ
     return Answer(_grade(d, lacking), headline(d.verdict, d.changed, d.tried),
                   [*out, *found, *to_set, *shown, *said], cost(d), _steps(d, output, bags, params_file, settings),
                   trust_text(d.trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
-                  [*tried, *left, *d.remarks], because(d.verdict))
+                  [*tried, *left, *(said for said in d.remarks if not any(name in said for name in changed(d)))],
+                  because(d.verdict))
 
 
 def _grade(d: Diagnosis, lacking: bool) -> str:
@@ -71,7 +72,14 @@ def not_usable(found: list[Checked], values: dict, bags: Sequence[str]) -> tuple
 def found_text(f: Finding, d: Diagnosis) -> str:
     """What was found: what it is, how sure, what corrected.yaml does about it, and what that gains."""
     also = f' {capital(looks_the_same(f.name))}.' if looks_the_same(f.name) and f.parameters else ''
-    return f'{f.name}: {_size(f)}: {what(f.name)}.{_group(f, d)}{also}{_change(f, d)}{_saves(f)}'
+    return f'{f.name}: {_size(f)}: {what(f.name)}.{_group(f, d)}{also}{_change(f, d)}{_saves(f) if d.better else ""}'
+
+
+def settings_texts(d: Diagnosis) -> list[str]:
+    """What corrected.yaml changes besides effects, and why."""
+    of_effects = {name for f in d.findings if f.added for name in f.changes} - set(d.noise)
+    return [f'corrected.yaml sets {name} to {yaml_value(value)}: {origin(d, name)}.'
+            for name, value in changed(d).items() if name not in of_effects]
 
 
 def _group(f: Finding, d: Diagnosis) -> str:
@@ -169,7 +177,7 @@ def _steps(d: Diagnosis, output: str, bags: Sequence[str], params_file: str, set
                           'between them, and diagnose them apart.'))
     if d.changed and not d.better:
         steps.append(Step('What it changes is proven by fixes that it was not fitted to, or is what the recording asks '
-                          'for, and errors are no larger. Compare both on another drive:',
+                          'for, and no error is larger for certain. Compare both on another drive:',
                           f'python -m mems_ins_fusion compare {shlex.quote(params_file)} '
                           f'{shlex.quote(f"{output}/corrected.yaml")} --bag ANOTHER_DRIVE --output compared'))
     if settings and not d.better:
