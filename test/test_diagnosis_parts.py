@@ -214,7 +214,8 @@ def test_a_fix_that_is_far_off_is_set_aside(late):
 
 
 @pytest.mark.parametrize('effect, parameter, value, sigma, unit, said', [
-    ('gnss_time_offset', 'time_offset', 0.25, 0.01, 's', 'fixes are stamped 0.250 \N{PLUS-MINUS SIGN} 0.010 s too late'),
+    ('gnss_time_offset', 'time_offset', 0.25, 0.01, 's',
+     'fixes are stamped 0.250 \N{PLUS-MINUS SIGN} 0.010 s too late'),
     ('gnss_time_offset', 'time_offset', -0.25, 0.01, 's', 'too early'),
     ('mounting_rotation', 'yaw', math.radians(-5.0), math.radians(0.5), 'rad',
      'it is turned 5.00 \N{PLUS-MINUS SIGN} 0.50 deg more to the right'),
