@@ -581,6 +581,15 @@ def test_standstills_are_used_unless_much_of_the_motion_is_as_quiet_as_rest(quie
     assert ('vehicle.still_rate' in settings) is told
 
 
+@pytest.mark.parametrize(('least', 'limit', 'said'), [(0.4, 0.2, 'between rest and motion'),
+                                                      (0.11, 0.12, 'a little above rest')])
+def test_the_limit_of_a_standstill_is_told_as_what_it_is(least, limit, said):
+    # given an IMU that scatters by 0.1 m/s^2 at rest, and by `least` and more in motion
+    seen = SimpleNamespace(wheels=None, alike=0.0, rest_force=0.1, rest_rate=0.001, drive_force=least, drive_rate=0.01)
+    setting, = (s for s in vehicle_settings([SimpleNamespace(vehicle=seen)]) if s.name == 'vehicle.still_acceleration')
+    assert setting.value == limit and setting.why[0].startswith(said)
+
+
 def even_drive(speed):
     """A minute at rest, then two straight on at `speed`, m/s, on ground so even that the IMU shows nothing of it."""
     drive = follow(Path((Segment(60.0), Segment(4.0, speed), Segment(120.0 + MARGIN)), course=0.7), 180.0, 50.0)

@@ -214,12 +214,13 @@ def test_a_fix_that_is_far_off_is_set_aside(late):
 
 
 @pytest.mark.parametrize('effect, parameter, value, sigma, unit, said', [
-    ('gnss_time_offset', 'time_offset', 0.25, 0.01, 's', 'fixes are stamped 0.250 \N{PLUS-MINUS SIGN} 0.01 s too late'),
+    ('gnss_time_offset', 'time_offset', 0.25, 0.01, 's',
+     'fixes are stamped 0.250 \N{PLUS-MINUS SIGN} 0.010 s too late'),
     ('gnss_time_offset', 'time_offset', -0.25, 0.01, 's', 'too early'),
     ('mounting_rotation', 'yaw', math.radians(-5.0), math.radians(0.5), 'rad',
-     'it is turned 5.00 \N{PLUS-MINUS SIGN} 0.5 deg more to the right'),
+     'it is turned 5.00 \N{PLUS-MINUS SIGN} 0.50 deg more to the right'),
     ('mounting_rotation', 'pitch', 0.1, 0.01, 'rad', 'more forward'),
-    ('accelerometer_scale', 'x', 0.05, 0.01, '-', 'forward 5.0 \N{PLUS-MINUS SIGN} 1 % too much'),
+    ('accelerometer_scale', 'x', 0.05, 0.01, '-', 'forward 5.0 \N{PLUS-MINUS SIGN} 1.0 % too much'),
     ('gnss_lever_arm', 'y', -0.8, 0.1, 'm', 'further right'),
     ('g_sensitivity', 'x', 1e-3, 1e-4, '(rad/s)/(m/s^2)', 'x 0.0010'),
 ])

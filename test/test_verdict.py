@@ -172,6 +172,9 @@ def test_a_headline_does_not_contradict_the_file():
     chance = change_in_outages(30.0, np.array([6.0, 7.0, 8.0, 9.0]), np.array([4.0, 9.5, 3.0, 9.5]), 4)
     for kept in (verdict, decide([chance])):
         assert kept.answer == CANNOT_TELL and '; with what was found, in 30 s' in headline(kept).replace(': w', '; w')
+        # nor is something said to be found where only noise levels were tried
+        assert ' with other noise levels, in 30 s' in headline(kept, tried='other noise levels')
+        assert 'found' not in headline(kept, tried='other noise levels')
 
 
 def test_what_is_certainly_wrong_makes_a_recording_not_usable():
@@ -273,11 +276,36 @@ def test_who_keeps_the_parameters_is_told_to_drive_on_with_them():
 
     from mems_ins_fusion.reports.diagnosis_answer import _steps
 
-    for answer in (SAME, WORSE):
-        kept = SimpleNamespace(better=False, changed=False, findings=[], values={}, corrected={},
-                               verdict=replace(decide([]), answer=answer))
-        step, = _steps(kept, 'out', ['drive'], 'my.yaml', [])
-        assert step.command.endswith('fusion_node --ros-args --params-file my.yaml')
+    chance = change_in_outages(30.0, np.array([6.0, 7.0, 8.0, 9.0]), np.array([4.0, 9.5, 3.0, 9.5]), 4)
+
+    def step(answer, **of):
+        kept = SimpleNamespace(**{'better': False, 'changed': False, 'findings': [], 'unexplained': False, 'values': {},
+                                  'corrected': {}, 'verdict': replace(decide([chance]), answer=answer)} | of)
+        only, = _steps(kept, 'out', ['drive'], 'my.yaml', [])
+        return only
+
+    # and where chance may have made the difference, unless a longer drive would tell what something is
+    for answer in (SAME, WORSE, CANNOT_TELL):
+        assert step(answer).command.endswith('fusion_node --ros-args --params-file my.yaml')
+    left_alone = SimpleNamespace(added=False, apart=False, changes={}, name='gnss_time_offset')
+    for more in ({'unexplained': True}, {'findings': [left_alone]}):
+        assert step(CANNOT_TELL, **more).what.startswith('Record a longer drive')
+
+
+def test_what_is_left_alone_is_told_with_what_it_may_be_instead():
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.diagnosis.estimate import Estimate
+    from mems_ins_fusion.reports.diagnosis_answer import tried_text
+
+    one = SimpleNamespace(drives=[])
+    alone = SimpleNamespace(name='gnss_time_offset', group=['gnss_time_offset'], seen='', reason='too small a gain',
+                            parameters={'time_offset': Estimate(0.3618, 0.06027, 's')})
+    said = tried_text(alone, one)
+    assert '0.362 ± 0.060 s' in said and said.endswith('too small a gain.')
+    alone.group.append('gnss_coloured_noise')
+    assert tried_text(alone, one) == (
+        f"{said} (This recording cannot tell it from: the receiver's errors last for seconds to minutes.)")
 
 
 def test_what_parameters_were_fitted_to_is_known_by_its_content(tmp_path):
@@ -302,3 +330,24 @@ def test_what_parameters_were_fitted_to_is_known_by_its_content(tmp_path):
     parts = [replace(again, gnss=again.gnss.select(part)) for part in (slice(0, half), slice(half, None))]
     assert any(fitted_to(part, known) for part in parts)
     assert fitted_to(other, sketch([one.gnss, other.gnss]))
+
+
+def test_each_parameter_that_is_changed_is_told_with_its_reason():
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_answer import settings_texts
+
+    # given a file with an effect, a noise level and a switched setting
+    values = {'gnss.time_offset': 0.0, 'gyroscope.gauss_markov.sigma': [0.001], 'imu.adapt_noise': True, 'other': 1.0}
+    effect = SimpleNamespace(added=True, changes={'gnss.time_offset': 0.2}, name='gnss_time_offset', parameters={})
+    d = SimpleNamespace(
+        values=values, noise={'gyroscope.gauss_markov.sigma': 0.316}, findings=[effect],
+        corrected={**values, 'gnss.time_offset': 0.2, 'gyroscope.gauss_markov.sigma': [0.000316],
+                   'imu.adapt_noise': False},
+        remarks=['It is no noise: positions are predicted better with imu.adapt_noise: false.'])
+    # then the effect is told as such, and of the others what is set and why
+    level, switch = settings_texts(d)
+    assert level == ('corrected.yaml sets gyroscope.gauss_markov.sigma to [0.000316]: noise level with which this '
+                     'drive is predicted best: 0.316 times as configured, [0.001].')
+    assert switch.startswith('corrected.yaml sets imu.adapt_noise to false: It is no noise')
+    assert switch.endswith('before: true.')

@@ -128,7 +128,7 @@ def _check_offset(found: Mounting | None, values: dict):
     """What the parameters leave of time offset and arm."""
     offset = found.offset if found is not None else None
     if offset is None or not offset.shown:
-        yield Finding(INFO, 'imu/gnss', 'a clock offset would not show: too few turns and stops, or noisy fixes')
+        yield Finding(INFO, 'imu/gnss', 'a clock offset does not show: too few turns and stops, or noisy fixes')
         return
     left = {one.name: one for one in remaining_of(found, values)}
     lag, declared = left[TIME_OFFSET], values['gnss.time_offset']
@@ -173,7 +173,7 @@ def _check_sigma(imu: ImuSamples, fixes: Fixes, found: Mounting | None, values: 
 def _mounting_left(found: Mounting, values: dict) -> Finding:
     """What the parameters leave of a mounting that nothing speaks against."""
     left = [one for one in remaining_of(found, values) if one.name in ANGLES]
-    words = ', '.join(f'{one.name} {math.degrees(one.value) + 0.0:.1f} +- {math.degrees(one.sigma):.1f}'
+    words = ', '.join(f'{one.name} {round(math.degrees(one.value), 1) + 0.0:.1f} +- {math.degrees(one.sigma):.1f}'
                       for one in left)
     return Finding(INFO, 'imu', f'left beside imu.mounting_rpy, deg: {words}',
                    {one.name: one.value for one in left} | {f'{one.name}_sigma': one.sigma for one in left})
@@ -242,7 +242,7 @@ def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, v
 def _clock_finding(name: str, left: Remaining, declared: float, against: str) -> Finding:
     topic = f'{"gnss" if against == "fixes" else "imu"}/{name}'
     if not math.isfinite(left.sigma):
-        return Finding(INFO, topic, f'how late the {name} is would not show: too few turns and stops, or noise')
+        return Finding(INFO, topic, f'how late the {name} is does not show: too few turns and stops, or noise')
     shown = {'lag_s': declared + left.value, 'sigma_s': left.sigma, 'left_s': left.value}
     if left.certain(SMALL_OFFSET, SURE):
         return Finding(WARNING, topic, f'the {name} is {_late(left, f"{name}.time_offset", declared)} to '
@@ -272,9 +272,8 @@ def _low_pass_finding(name: str, seen: LowPass, declared: float) -> Finding:
     if seen.certain:
         return Finding(INFO, f'imu/{name}', f'the {name} comes through a low pass of {seen.tau:.2f} +- '
                        f'{seen.sigma:.2f} s, as {name}.lag says', shown)
-    return Finding(INFO, f'imu/{name}', f'whether a low pass makes a part of the time offset of the {name} does not '
-                   f'show: {seen.tau:.2f} +- {seen.sigma:.2f} s, and up to {MOST_SPRINGS:g} s are those of springs',
-                   shown)
+    return Finding(INFO, f'imu/{name}', f'a low pass of the {name} does not show for certain: {seen.tau:.2f} +- '
+                   f'{seen.sigma:.2f} s, where a body on springs looks like one of up to {MOST_SPRINGS:g} s', shown)
 
 
 def _late(left: Remaining, name: str, declared: float) -> str:

@@ -198,7 +198,7 @@ def _missing(topics, drives, mounting):
         yield ('the yaw of the mounting is not shown: record a drive with a right-angled turn, some braking and '
                'some speeding up')
     if mounting is not None and not any(drive.still.any() for drive in drives):
-        yield 'no standstill: sensor noise and vehicle.zero_velocity are left at their defaults, biases at zero'
+        yield 'no standstill: sensor noise, gyroscope.bias and vehicle.zero_velocity are left at their defaults'
     if all(drive.units.steering is None for drive in drives):
         yield f'no turn tells the unit of the gyroscopes; {drives[0].units.rate} is taken'
     if mounting is None or mounting.offset is None or not mounting.offset.shown:

@@ -87,7 +87,7 @@ def _unit_settings(units: Units):
         why = f'no turn tells; the largest rates are {units.largest:.2g}'
     else:
         turned, sigma = (RATE[units.rate] * value for value in units.steering.turned)
-        why = f'the gyroscopes turn by {turned:.3g} +- {max(sigma, 0.001):.1g} of the angle of the course'
+        why = f'the gyroscopes turn by {turned:.3g} +- {max(sigma, 0.001):.1g} times the angle of the course'
     yield Setting('imu.rate_unit', units.rate, (why,))
 
 
@@ -108,15 +108,18 @@ def _mounting_setting(found: Mounting, told: np.ndarray | None) -> Setting:
             'show the yaw',))
     angles = np.degrees(found.rpy)
     sigma = np.degrees(found.sigma)
-    why = [f'roll {angles[0]:.1f}, pitch {angles[1]:.1f}, yaw {angles[2]:.1f} deg; sigma {sigma[0]:.1f}, '
-           f'{sigma[1]:.1f}, {sigma[2]:.1f} deg about forward, left and up']
-    why += [f'from this, by {way.source}: {_degrees(way.angle[0], way.sigma[0])} about forward, '
+    level = f'roll {angles[0]:.1f}, pitch {angles[1]:.1f}'
+    why = [f'{level}, yaw {angles[2]:.1f} deg; sigma {sigma[0]:.1f}, {sigma[1]:.1f}, {sigma[2]:.1f} deg about forward, '
+           'left and up' if found.yaw_known else
+           f'{level} deg; sigma {sigma[0]:.1f}, {sigma[1]:.1f} deg about forward and left']
+    why += [f'{way.source} alone: {_degrees(way.angle[0], way.sigma[0])} from this about forward, '
             f'{_degrees(way.angle[1], way.sigma[1])} about left' for way in found.level]
     if found.spans is not None:
-        why.append(f'gravity counts with {math.degrees(BIAS_SIGMA / STANDARD_GRAVITY):.1f} deg more: a bias of the '
-                   'accelerometers tilts it')
+        why.append(f'the sigma of gravity is {math.degrees(BIAS_SIGMA / STANDARD_GRAVITY):.1f} deg larger than that: a '
+                   'bias of the accelerometers looks like a tilt')
     if found.yaw_known:
-        why += [f'from this, by {way.source}: {_degrees(way.angle[0], way.sigma[0])} about up' for way in found.heading]
+        why += [f'{way.source} alone: {_degrees(way.angle[0], way.sigma[0])} from this about up'
+                for way in found.heading]
     else:
         why.append('yaw not shown: too few turns and changes of speed; 0 is the default, it may be anything')
     if told is not None:
@@ -130,7 +133,7 @@ def _angle_of_level(found: Mounting, told: np.ndarray) -> float:
 
 
 def _degrees(angle, sigma) -> str:
-    return f'{math.degrees(angle):+.1f} +- {max(math.degrees(sigma), 0.1):.1f} deg'
+    return f'{round(math.degrees(angle), 1) + 0.0:+.1f} +- {max(math.degrees(sigma), 0.1):.1f} deg'
 
 
 def _time_offset_setting(offset) -> Setting:
@@ -211,7 +214,7 @@ def _noise_settings(drives, mounting):
     best = max((drive.noise for drive in drives if drive.noise is not None), key=lambda noise: noise.seconds,
                default=None)
     if best is not None:
-        why = f'{best.seconds:.0f} s at rest, the quietest axis; to {best.part:.0%}'
+        why = f'{best.seconds:.0f} s at rest, the quietest axis; known to {best.part:.0%}'
         for sensor, density in (('accelerometer', best.force_density), ('gyroscope', best.rate_density)):
             if min(density) > 0.0:  # a sensor that shows nothing has no noise to be configured
                 yield Setting(f'{sensor}.noise_density', _significant(density), (why,))
@@ -230,8 +233,8 @@ def vehicle_settings(drives):
     seen = [vehicle for vehicle in vehicles if vehicle.wheels is not None]
     # the filter's heading is that of the course at the start, so the constraint holds whatever the yaw of the mounting
     yield Setting('vehicle.non_holonomic', all(vehicle.wheels for vehicle in seen), (
-        f'velocity across the nose scatters by {max(v.sideways for v in seen):.2f} m/s, '
-        f'{max(v.noise for v in seen):.2f} m/s of it by the fixes' if seen else
+        f'velocity across the nose scatters by {max(v.sideways for v in seen):.2f} m/s; noise of the fixes alone makes '
+        f'{max(v.noise for v in seen):.2f} m/s' if seen else
         'too few turns to see it; the default is that of vehicles on wheels',))
     alike = max((vehicle.alike for vehicle in vehicles if vehicle.alike is not None), default=0.0)
     told, quiet = alike < LARGEST_ALIKE, f'{alike:.0%} of the seconds in motion are slow and as quiet as rest'
@@ -243,16 +246,18 @@ def vehicle_settings(drives):
     force, rate = max(v.rest_force for v in rest), max(v.rest_rate for v in rest)
     drive_force, drive_rate = min(v.drive_force for v in rest), min(v.drive_rate for v in rest)
     yield Setting('vehicle.zero_velocity', told, (
-        f'axes scatter by up to {force:.2g} m/s^2 and {rate:.2g} rad/s at rest, by {drive_force:.2g} and '
-        f'{drive_rate:.2g} and more in motion; {quiet}' + ('' if told else ': not to be told apart'),))
+        f'axes scatter by up to {force:.2g} m/s^2 and {rate:.2g} rad/s at rest, by at least {drive_force:.2g} and '
+        f'{drive_rate:.2g} in motion; {quiet}' + ('' if told else ': not to be told apart'),))
     if told:
-        yield Setting('vehicle.still_acceleration', _threshold(force, drive_force), ('between rest and motion',))
-        yield Setting('vehicle.still_rate', _threshold(rate, drive_rate), ('between rest and motion',))
+        yield _threshold('vehicle.still_acceleration', force, drive_force)
+        yield _threshold('vehicle.still_rate', rate, drive_rate)
 
 
-def _threshold(rest, drive) -> float:
-    """Between `rest` and `drive` by ratio; where they overlap, a little above rest."""
-    return float(f'{max(math.sqrt(rest * drive), 1.2 * rest):.2g}')
+def _threshold(name: str, rest: float, drive: float) -> Setting:
+    """Between `rest` and `drive` by ratio; where they are alike, a little above rest."""
+    between, least = math.sqrt(rest * drive), 1.2 * rest
+    why = 'between rest and motion' if between > least else 'a little above rest: quiet motion scatters as little'
+    return Setting(name, float(f'{max(between, least):.2g}'), (why,))
 
 
 def _significant(values, digits=3) -> list:

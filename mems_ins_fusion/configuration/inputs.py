@@ -166,9 +166,9 @@ def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
         return InputShown(topic, TYPES['velocity'], 'it points along the track of the fixes')
     if not goes_forwards and not (factor is not None and WHEELS.search(topic)):
         return LeftOut(topic, 'it goes neither with the speed of the fixes nor with their velocity' if factor is None
-                       else 'no fixes in motion to tell what it is, nor does its name')
+                       else 'neither its name tells what it is nor fixes, of which too few move fast enough')
     why = 'it goes with the speed of the fixes' if goes_forwards else (
-        'by its name: no fixes in motion to compare it with, its unit is taken to be m/s')
+        'by its name: too few fixes move fast enough to compare it with, its unit is taken to be m/s')
     if 'twist' in read and rotation is not None and _turning(imu, read['twist'], rotation) is not None:
         kind, why = 'twist', f'{why}, its turn rate with the gyroscopes'
     else:

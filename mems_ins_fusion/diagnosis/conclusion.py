@@ -91,10 +91,10 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
                    if _fixes_while_running(option, trials) >= RUNS * ran]
     trials.tell(MEASURING, 'measuring errors')
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
-    correction, after, verdict, judged_by, against = _chosen([
+    correction, after, verdict, judged_on, against = _chosen([
         (tried, judged(before, tried.errors, tried.correction.effects))
         for tried in _as_measured(corrections, trials)], before, trials.without_standstills)
-    comparison = compared(before, judged_by)
+    comparison = compared(before, judged_on.errors)
     if correction.values != given:  # one filter may start later than the other
         before, after = in_common(before, after), in_common(after, before)
     # what a direct look at the recording shows is told, whatever corrected.yaml holds
@@ -120,7 +120,8 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
         detections={stage: detect(r, origin.mask) for stage, r in residuals.items()}, noise=correction.factors,
         explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
         hidden=hidden, corrected=correction.values,
-        verdict=verdict, before=before, fitted=noise_only, after=after, comparison=comparison,
+        verdict=verdict, tried=_said(given, judged_on.correction),
+        before=before, fitted=noise_only, after=after, comparison=comparison,
         rest=[rest for found in rests for rest in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
         + _noise_remarks(explained | correction.factors)
@@ -133,7 +134,7 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
 
 
 def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
-            wanted: dict[str, bool]) -> tuple[Correction, Measured, Verdict, Measured, str]:
+            wanted: dict[str, bool]) -> tuple[Correction, Measured, Verdict, Tried, str]:
     """The correction for corrected.yaml.
 
     tried: the best predictions first, the given parameters last. wanted: settings that the recording asks for
@@ -149,8 +150,8 @@ def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
     If there is none, the first one with effects and certainly smaller errors is taken, as the given parameters are
     worse; else the given parameters.
 
-    Returns the correction, its errors, the verdict, the errors that this is about (of the correction, or if the given
-    parameters stay, of the best one tried), and what speaks against the effects that are left out.
+    Returns the correction, its errors, the verdict, what this is about (the correction, or if the given parameters
+    stay, the best one tried), and what speaks against the effects that are left out.
     """
     against = ''
     ordered = sorted(tried[:-1], key=lambda found: (
@@ -160,11 +161,19 @@ def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
         worse = '' if verdict.answer == BETTER else _worse(before, one.errors) or (
             NO_PROOF if verdict.answer == WORSE else '')
         if not worse:
-            return one.correction, one.errors, verdict, one.errors, against or NO_PROOF
+            return one.correction, one.errors, verdict, one, against or NO_PROOF
         if one.correction.effects:
             against = worse
     (best, verdict), (kept, _) = tried[0], tried[-1]
-    return kept.correction, kept.errors, verdict, best.errors, against or NO_PROOF
+    return kept.correction, kept.errors, verdict, best, against or NO_PROOF
+
+
+def _said(given: dict, correction: Correction) -> str:
+    """What a correction consists of, in words."""
+    if correction.effects or any(f.added for f in correction.settings):
+        return 'what was found'
+    switched = [f'{name}: {str(now).lower()}' for name, now in _switched(given, correction.values).items()]
+    return ' and '.join([*(['other noise levels'] if correction.factors else []), *switched])
 
 
 def _has(values: dict, settings: dict) -> bool:

@@ -58,13 +58,8 @@ class Drives:
 
     def configured(self, recordings: Sequence[Recording], values: dict) -> Drives:
         """The same drives, `recordings`, with other parameters given; the work it makes counts with that of this."""
-        others = []
-        for old, recording in zip(self.each, recordings):
-            offsets = [one['gnss.time_offset'] for one in old.others]
-            other = Problem(recording, values, others=[{**values, 'gnss.time_offset': offset} for offset in offsets])
-            other.runs = old.runs
-            others.append(other)
-        return self._made(others).without(self.outlying)
+        return self._made([p.configured(recording, values)
+                           for p, recording in zip(self.each, recordings)]).without(self.outlying)
 
     def observed(self, values: dict) -> Residual:
         return joined(on_all_cores(lambda p: p.observed(values), self.each))

@@ -42,7 +42,7 @@ class Estimate:
         if self.value is None:
             low, high = self.range
             return f'{low:.2g} to {high:.2g}{unit}'
-        said = rounded(self.value, self.sigma) + (f' \N{PLUS-MINUS SIGN} {self.sigma:.2g}' if self.known else '') + unit
+        said = with_sigma(self.value, self.sigma if self.known else None) + unit
         return f'{said}, {math.degrees(self.value):.3g} deg' if self.unit == 'rad' else said
 
 
@@ -60,6 +60,11 @@ def widened(parameters: Mapping[str, Estimate]) -> dict[str, Estimate]:
     """The parameters of one effect, with `systematic` errors included in their sigmas."""
     more = systematic(parameters)
     return {name: replace(e, sigma=math.hypot(e.sigma, more[name])) if e.known else e for name, e in parameters.items()}
+
+
+def with_sigma(value: float, sigma: float | None) -> str:
+    """Both as text, with the same number of digits."""
+    return rounded(value, sigma) + ('' if sigma is None else f' \N{PLUS-MINUS SIGN} {rounded(sigma, sigma)}')
 
 
 def rounded(value: float, sigma: float | None) -> str:

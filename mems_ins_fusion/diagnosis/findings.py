@@ -75,6 +75,7 @@ class Diagnosis:
     hidden: dict[str, str]  # effects and parameters that the data cannot show, and why
     corrected: dict
     verdict: Verdict  # on `corrected`; if that is `values`, on the best correction tried
+    tried: str  # what `verdict` is on, in words
     before: Measured
     fitted: Measured
     after: Measured

@@ -188,6 +188,13 @@ class Problem:
         other.mask = self.mask & np.isfinite(other.base.z[:, 0])
         return other
 
+    def configured(self, recording: Recording, values: dict) -> Problem:
+        """The same drive, `recording`, with other parameters given; the work it makes counts with that of this."""
+        others = [{**values, 'gnss.time_offset': start['gnss.time_offset']} for start in self.others]
+        other = Problem(recording, values, others=others)
+        other.runs = self.runs
+        return other
+
     def observed(self, values: dict) -> Residual:
         """The innovations of the filter with these parameters as they are, with all its adaptation."""
         config = FilterConfig.from_parameters(values)

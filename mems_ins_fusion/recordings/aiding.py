@@ -378,7 +378,7 @@ def _compare(topic, samples, value, fixes, prepare=lambda value: value):
     """
     chords = _chords(fixes) if fixes is not None else None
     if chords is None or len(chords.begin) < _FEWEST:
-        return Finding(INFO, topic, f'no fixes in motion to compare the {topic} with')
+        return Finding(INFO, topic, f'too few fixes move fast enough to compare the {topic} with')
     order = in_time_order(samples.stamp, _finite(value))
     stamp = samples.stamp[order]
     count = np.searchsorted(stamp, chords.end) - np.searchsorted(stamp, chords.begin)

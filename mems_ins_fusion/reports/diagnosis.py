@@ -189,18 +189,19 @@ def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
     shown = d.verdict.shown
     said = (f'Corrected by diagnose from {d.name}: {change_text(shown, d.verdict.level)}. Effects added: {found}.'
             if d.changed else f'As given: no gain is proven for what diagnose found in {d.name}.')
-    lines = [*_comment(said, ''), *(['# Other parameters are as they were given.'] if d.changed else []), '/**:',
-             '  ros__parameters:']
+    if d.changed:
+        said += ' What is changed has its reason above it; all else is as it was given.'
+    lines = [*_comment(said, ''), '/**:', '  ros__parameters:']
     for name, value in {**checked, **new}.items():
         if name in new:
-            lines += _comment(_origin(d, name), '    ')
+            lines += _comment(origin(d, name), '    ')
         lines.append(f'    {name}: {yaml_value(value)}')
     # an empty mapping would be no parameters file
     lines += [] if checked or new else [f'    imu_topic: {yaml_value(d.values["imu_topic"])}']
     return '\n'.join(lines).replace('\N{PLUS-MINUS SIGN}', '+-') + '\n'  # plain ASCII: not every reader knows better
 
 
-def _origin(d: Diagnosis, name: str) -> str:
+def origin(d: Diagnosis, name: str) -> str:
     """Where the changed value of parameter `name` comes from."""
     if name == 'fitted_to':
         return 'hashes of the recordings that the values were fitted to'

@@ -16,7 +16,7 @@ from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked
 from ..recordings.findings import checked_text
 from .answer import BAD, GOOD, WARNING, YOURS, Answer, Step, cure, let_configure, topics_of
-from .diagnosis import capital, changed, cost, rounded_value, this, unexplained_text
+from .diagnosis import capital, changed, cost, origin, rounded_value, this, unexplained_text
 from .effect_words import check, looks_the_same, size, what
 from .verdict import because, change_text, trust_text
 
@@ -33,20 +33,21 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, bags: Sequ
     """
     d = diagnosis
     out = [f'{name} was left out: {why}' for name, why in d.left_out.items()]
-    found = [found_text(f, d) for f in d.findings if f.added]
+    found = [found_text(f, d) for f in d.findings if f.added] + settings_texts(d)
     shown = [shown_text(d.detections['before'])] if d.detections['before'].lacking else []
     # what is corrected needs no warning; what names a parameter says more than what innovations show
     said = [f for f in checked if f.severity != INFO and not set(f.settings) & set(changed(d))]
     to_set, said = ([checked_text(f, topics_of(d.values)) for f in said if bool(f.settings) == wanted]
                     for wanted in (True, False))
-    tried = [tried_text(f) for f in d.findings if not f.added]
+    tried = [tried_text(f, d) for f in d.findings if not f.added]
     left = [unexplained_text(d)] if d.unexplained else []
     lacking = bool(d.detections['after' if d.changed else 'before'].lacking)
     settings = [name for f in checked if f.severity != INFO for name in f.settings if name not in changed(d)]
-    return Answer(_grade(d, lacking), headline(d.verdict, d.changed), [*out, *found, *to_set, *shown, *said], cost(d),
-                  _steps(d, output, bags, params_file, settings),
+    return Answer(_grade(d, lacking), headline(d.verdict, d.changed, d.tried),
+                  [*out, *found, *to_set, *shown, *said], cost(d), _steps(d, output, bags, params_file, settings),
                   trust_text(d.trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
-                  [*tried, *left, *d.remarks], because(d.verdict))
+                  [*tried, *left, *(said for said in d.remarks if not any(name in said for name in changed(d)))],
+                  because(d.verdict))
 
 
 def _grade(d: Diagnosis, lacking: bool) -> str:
@@ -70,10 +71,21 @@ def not_usable(found: list[Checked], values: dict, bags: Sequence[str]) -> tuple
 
 def found_text(f: Finding, d: Diagnosis) -> str:
     """What was found: what it is, how sure, what corrected.yaml does about it, and what that gains."""
-    others = [what(name) for name in f.group if name != f.name]
-    group = f' ({capital(this(d))} cannot tell it from: {"; ".join(others)}.)' if others else ''
     also = f' {capital(looks_the_same(f.name))}.' if looks_the_same(f.name) and f.parameters else ''
-    return f'{f.name}: {_size(f)}: {what(f.name)}.{group}{also}{_change(f, d)}{_saves(f)}'
+    return f'{f.name}: {_size(f)}: {what(f.name)}.{_group(f, d)}{also}{_change(f, d)}{_saves(f) if d.better else ""}'
+
+
+def settings_texts(d: Diagnosis) -> list[str]:
+    """What corrected.yaml changes besides effects, and why."""
+    of_effects = {name for f in d.findings if f.added for name in f.changes} - set(d.noise)
+    return [f'corrected.yaml sets {name} to {yaml_value(value)}: {origin(d, name)}.'
+            for name, value in changed(d).items() if name not in of_effects]
+
+
+def _group(f: Finding, d: Diagnosis) -> str:
+    """What it may be instead."""
+    others = [what(name) for name in f.group if name != f.name]
+    return f' ({capital(this(d))} cannot tell it from: {"; ".join(others)}.)' if others else ''
 
 
 def _size(f: Finding) -> str:
@@ -119,17 +131,18 @@ def shown_text(detection: Detection) -> str:
     return f'The filter as configured: {"; ".join(said) or "it is always off to the same side"}.'
 
 
-def tried_text(f: Finding) -> str:
+def tried_text(f: Finding, d: Diagnosis) -> str:
     """What looked like an effect and is none, or none that helps."""
     if f.seen:
         return f'{capital(what(f.name))}: {f.seen}. Nothing is changed: {f.reason}.'
     sizes = ', '.join(size(f.name, name, estimate) for name, estimate in f.parameters.items())
-    return f'Looked at, and left alone: {what(f.name)} ({f.name}{f", {sizes}" if sizes else ""}): {f.reason}.'
+    sizes = f', {sizes}' if sizes else ''
+    return f'Looked at, and left alone: {what(f.name)} ({f.name}{sizes}): {f.reason}.{_group(f, d)}'
 
 
-def headline(verdict: Verdict, changed: bool = False) -> str:
+def headline(verdict: Verdict, changed: bool = False, tried: str = 'what was found') -> str:
     """Whether to use what was found, with the interval that says so. changed: corrected.yaml is another file than
-    the one given."""
+    the one given. tried: what the verdict is on."""
     if verdict.answer == NOT_USABLE:
         return f'Not usable: {verdict.why[0]}'
     if verdict.shown is None:
@@ -139,11 +152,11 @@ def headline(verdict: Verdict, changed: bool = False) -> str:
         what_of_it = 'makes no difference' if verdict.answer == SAME else 'is not proven to make errors smaller'
         return f'corrected.yaml {what_of_it}: {proof}.'
     if verdict.why:
-        return f'Keep your parameters: {verdict.why[0]}; with what was found, {proof}.'
+        return f'Keep your parameters: {verdict.why[0]}; with {tried}, {proof}.'
     return {BETTER: f'Use corrected.yaml: {proof}.',
-            SAME: f'Keep your parameters, what was found makes no difference: {proof}.',
-            WORSE: f'Keep your parameters, what was found makes it worse: {proof}.',
-            CANNOT_TELL: f'Keep your parameters, no gain is proven: with what was found, {proof}.'}[verdict.answer]
+            SAME: f'Keep your parameters, nothing is gained: with {tried}, {proof}.',
+            WORSE: f'Keep your parameters, errors would grow: with {tried}, {proof}.',
+            CANNOT_TELL: f'Keep your parameters, no gain is proven: with {tried}, {proof}.'}[verdict.answer]
 
 
 def _steps(d: Diagnosis, output: str, bags: Sequence[str], params_file: str, settings: list[str]) -> list[Step]:
@@ -164,17 +177,17 @@ def _steps(d: Diagnosis, output: str, bags: Sequence[str], params_file: str, set
                           'between them, and diagnose them apart.'))
     if d.changed and not d.better:
         steps.append(Step('What it changes is proven by fixes that it was not fitted to, or is what the recording asks '
-                          'for, and errors are no larger. Compare both on another drive:',
+                          'for, and no error is larger for certain. Compare both on another drive:',
                           f'python -m mems_ins_fusion compare {shlex.quote(params_file)} '
                           f'{shlex.quote(f"{output}/corrected.yaml")} --bag ANOTHER_DRIVE --output compared'))
     if settings and not d.better:
         steps.insert(0, replace(let_configure(bags), what=f'Set {" and ".join(settings)} as configure writes '
                                 f'{"them" if settings[1:] else "it"}, and diagnose again:'))
-    elif not d.changed and d.verdict.answer in (SAME, WORSE) and params_file != YOURS:
+    elif not d.changed and d.verdict.answer == CANNOT_TELL and d.verdict.changes and (d.findings or d.unexplained):
+        steps.append(Step('Record a longer drive, with bends to both sides, stops and braking: it may tell.'))
+    elif not d.changed and params_file != YOURS:
         steps.append(Step('Drive on with your parameters:', 'python -m mems_ins_fusion fusion_node --ros-args '
                           f'--params-file {shlex.quote(params_file)}'))
-    elif not d.changed and d.verdict.answer == CANNOT_TELL and d.verdict.changes:
-        steps.append(Step('Record a longer drive, with bends to both sides, stops and braking: it may tell.'))
     if d.better and not any(f.added for f in d.findings):
         steps.append(Step('No effect was added, only noise levels were chosen: record another drive with bends to both '
                           'sides, stops and braking before you rely on them.'))

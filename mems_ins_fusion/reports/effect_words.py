@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 
-from ..diagnosis.estimate import Estimate, rounded
+from ..diagnosis.estimate import Estimate, with_sigma
 from ..effects.registry import effect_called
 
 
@@ -33,6 +33,5 @@ def size(name: str, parameter: str, estimate: Estimate) -> str:
     shown = {'rad': (math.degrees(1.0), ' deg'), '-': (100.0, ' %')}
     factor, unit = shown.get(estimate.unit, (1.0, f' {estimate.unit}'))
     value, sigma = abs(estimate.value) * factor, estimate.sigma * factor if estimate.known else None
-    said = rounded(value, sigma) + (f' \N{PLUS-MINUS SIGN} {sigma:.2g}' if sigma is not None else '') + unit
-    return words[estimate.value < 0].format(said)
+    return words[estimate.value < 0].format(with_sigma(value, sigma) + unit)
 
