@@ -8,6 +8,7 @@ import pytest
 
 from mems_ins_fusion.configuration.baseline import estimate_baseline
 from mems_ins_fusion.configuration.configure import configure
+from mems_ins_fusion.configuration.inputs import clock_of
 from mems_ins_fusion.configuration.turn_offset import estimate_turn_offset
 from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offset
 from mems_ins_fusion.effects.aiding_time_offset import time_offset_of
@@ -191,6 +192,26 @@ def test_a_turn_rate_tells_its_clock_in_either_sense(sense):
     assert np.sign(found.correlation) == np.sign(sense) and abs(found.correlation) > 0.9
     # and a turn rate that never is one tells nothing
     assert estimate_turn_offset(made.imu, replace(twist, twist=0.0 * twist.twist), np.eye(3)) is None
+
+
+@pytest.mark.parametrize('tau, late, rate', [(0.6, 0.2, 10.0), (1.0, -0.1, 10.0), (0.0, 0.15, 10.0), (0.6, 0.2, 2.0)])
+def test_a_heading_tells_its_low_pass_beside_its_clock(tau, late, rate):
+    # given a heading through a low pass, stamped late besides
+    effects = [(EFFECTS['heading_lag'], {'tau': tau})] if tau else []
+    made = simulate_recording(simulate_drive(600.0, 62, 50.0, standstill=25.0),
+                              SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.5), effects,
+                              seed=62, aiding=Aiding(heading_rate=rate)).recording
+    heading = replace(made.heading, stamp=made.heading.stamp + round(late * 1e9))
+    clock = clock_of('heading', heading, made.imu, None, np.eye(3))
+    if rate < 4.0:
+        assert clock.low_pass is None  # the mean over half a second would look like one
+        return
+    # then the offset is that of both, and the low pass is told apart from it
+    lag, sigma = clock.lag
+    assert lag == pytest.approx(late + tau, abs=3.0 * sigma) and sigma < 0.03
+    assert clock.low_pass.certain == (tau > 0.0)
+    assert clock.low_pass.tau == pytest.approx(tau, abs=3.0 * clock.low_pass.sigma)
+    assert tau == 0.0 or clock.low_pass.sigma < 0.05
 
 
 @pytest.mark.parametrize('rate', [1.0, 5.0])

@@ -277,7 +277,8 @@ def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, rotation:
     if kind == 'velocity' and fixes is not None:
         shown = [estimate_velocity_offset(samples, fixes)]
     elif kind == 'heading' and rotation is not None:
-        shown = [_turning(imu, turning_of(samples), rotation, _HEADING_TURNS)]
+        turn = _turning(imu, turning_of(samples), rotation, _HEADING_TURNS)
+        shown, low_pass = [turn], None if turn is None else turn.low_pass
     elif kind == 'fix' and fixes is not None:
         baseline = estimate_baseline(fixes, usable_fixes(samples))
         return Clock(None if baseline is None else (baseline.late, math.hypot(baseline.late_sigma, FLOOR)))

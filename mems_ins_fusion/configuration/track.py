@@ -50,13 +50,8 @@ class Track:
         return _low_pass(_low_pass(self.force, decay), decay)
 
     def through_low_pass(self, values: np.ndarray, tau: float) -> np.ndarray:
-        """`values` (n, ...), linear between the times, through one with the time constant `tau`, s; 0: as they are."""
-        if tau == 0.0:
-            return values
-        ratio = float(np.median(np.diff(self.time))) / tau
-        decay, change = math.exp(-ratio), np.diff(values, axis=0, prepend=values[:1])
-        # what is behind: u[n] = decay u[n - 1] + change[n] (1 - decay) / ratio
-        return values - _low_pass(change, decay) / ratio
+        """`through_low_pass` of `values` (n, ...) at the times of the track."""
+        return through_low_pass(self.time, values, tau)
 
     def _integrals(self, increments):
         """Sum of `increments` (n - 1, ...) up to each time, (n, ...), and its integral over time."""
@@ -71,6 +66,17 @@ class Track:
         part = part.reshape((-1,) + (1,) * (values.ndim - 1))
         found = values[left] * (1.0 - part) + values[left + 1] * part
         return found.reshape(times.shape + values.shape[1:])
+
+
+def through_low_pass(time: np.ndarray, values: np.ndarray, tau: float) -> np.ndarray:
+    """`values` (n, ...), linear between `time` (n,), s, through a low pass with the time constant `tau`, s; 0: as they
+    are."""
+    if tau == 0.0:
+        return values
+    ratio = float(np.median(np.diff(time))) / tau
+    decay, change = math.exp(-ratio), np.diff(values, axis=0, prepend=values[:1])
+    # what is behind: u[n] = decay u[n - 1] + change[n] (1 - decay) / ratio
+    return values - _low_pass(change, decay) / ratio
 
 
 def cross(vectors: np.ndarray) -> np.ndarray:

@@ -1,7 +1,9 @@
 """The time offset between the turn rate of an odometry and the gyroscopes: no fix, no filter.
 
 turn(t) = k w(t - T) + b, w about the up axis. With scale k and bias b free, the offset T that fits best is where the
-correlation is largest: on a grid, then by a parabola. A curve or two are enough, at any speed.
+correlation is largest: on a grid, then by a parabola. A curve or two are enough, at any speed. A low pass that the turn
+rate comes through is a part of the offset; its time constant is that with which w, through the same low pass, is
+correlated most. Without it the largest correlation is at less than the offset in all.
 """
 from __future__ import annotations
 
@@ -13,6 +15,8 @@ import numpy as np
 from mems_ins_fusion.configuration.kinematics import InertialIntegrals
 from mems_ins_fusion.configuration.offset import FLOOR, LARGEST
 from mems_ins_fusion.configuration.regression import BLOCKS, jackknife, shares
+from mems_ins_fusion.configuration.speed_offset import LowPass
+from mems_ins_fusion.configuration.track import through_low_pass
 from mems_ins_fusion.recordings.motion import integral
 from mems_ins_fusion.samples import Headings, ImuSamples, Twists, in_time_order
 
@@ -24,16 +28,24 @@ _SMOOTHED = 0.2
 _FEWEST = 200
 #: rad/s, smallest standard deviation of the turn rate for an estimate
 _LEAST = 0.02
+#: s, time constants of low passes that are tried: the correlation is flat between two of them
+_LOW_PASSES = np.arange(0.0, 1.55, 0.1)
+#: s about the offset without a low pass, less the time constant, in which the offset with one is searched
+_ABOUT = 0.4
+#: s, largest interval between two samples of which a low pass is estimated: their mean over longer ones would look
+#: like a low pass of a third of it
+_DENSE = 0.25
 
 
 @dataclass(frozen=True)
 class TurnOffset:
-    """lag, lag_sigma: s, by which the stamps are late. correlation: with the gyroscopes, negative if its sign is wrong.
-    """
+    """lag, lag_sigma: s, by which the stamps are late, with the part that `low_pass` makes. correlation: with the
+    gyroscopes, negative if its sign is wrong. low_pass: None where the samples are too rare for it."""
 
     lag: float
     lag_sigma: float
     correlation: float
+    low_pass: LowPass | None = None
 
 
 def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray) -> TurnOffset | None:
@@ -52,14 +64,39 @@ def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray) 
     time, turn = time[inside], _mean(time, integral(time, turn), time[inside])
     if len(time) < _FEWEST or turn.std() < _LEAST:
         return None
-    lags = np.arange(-LARGEST, LARGEST + 0.5 * _STEP, _STEP)
     blocks = shares(len(time))
-    # (lags, blocks, 6) sums of 1, w, turn, w w, w turn, turn turn
-    sums = np.array([_sums(_mean(inertial.time, angle, time - lag), turn, blocks) for lag in lags])
-    whole = sums.sum(axis=1)
-    lag, best = _best(lags, whole)
-    left_out = np.array([_best(lags, whole - sums[:, block])[0] for block in range(BLOCKS)])
-    return TurnOffset(lag, math.hypot(float(jackknife(left_out)), FLOOR), best)
+
+    def searched(lags, tau):
+        """Offsets and correlations (1 + BLOCKS,) of the whole, and with each block left out."""
+        smoothed = through_low_pass(inertial.time, angle, tau)
+        # (lags, blocks, 6) sums of 1, w, turn, w w, w turn, turn turn
+        sums = np.array([_sums(_mean(inertial.time, smoothed, time - lag), turn, blocks) for lag in lags])
+        whole = sums.sum(axis=1)
+        return np.array([_best(lags, whole), *(_best(lags, whole - sums[:, block]) for block in range(BLOCKS))]).T
+
+    grid = np.arange(-LARGEST, LARGEST + 0.5 * _STEP, _STEP)
+    lag, correlation = searched(grid, 0.0)
+    if np.median(np.diff(time)) > _DENSE:
+        return TurnOffset(float(lag[0]), math.hypot(float(jackknife(lag[1:])), FLOOR), float(correlation[0]))
+    found = [(lag, correlation), *(searched(grid[np.abs(grid + tau - lag[0]) <= _ABOUT], tau)
+                                   for tau in _LOW_PASSES[1:] if lag[0] - tau > -LARGEST)]
+    tau, late, best = _with_low_pass(*np.swapaxes(found, 0, 1))
+    tau_sigma, late_sigma = (math.hypot(float(jackknife(one[1:])), FLOOR) for one in (tau, late))
+    return TurnOffset(float(late[0]), late_sigma, float(best[0]), LowPass(float(tau[0]), tau_sigma))
+
+
+def _with_low_pass(lags: np.ndarray, correlations: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time constant of the low pass with the largest correlation, the offset in all with it, s, and that correlation.
+
+    lags, correlations: (t, w), with each of the first t of _LOW_PASSES.
+    """
+    found = []
+    for lag, size in zip(lags.T, correlations.T):
+        at = int(np.argmax(np.abs(size)))
+        part = _top(np.abs(size[at - 1:at + 2])) if 0 < at < len(size) - 1 else 0.0
+        tau = _LOW_PASSES[at] + part * _LOW_PASSES[1]
+        found.append((tau, tau + np.interp(tau, _LOW_PASSES[:len(lag)], lag), size[at]))
+    return tuple(np.array(found).T)
 
 
 def turning_of(headings: Headings) -> Twists:
@@ -90,7 +127,12 @@ def _best(lags, sums) -> tuple[float, float]:
     at = int(np.argmax(np.abs(size)))
     lag = float(lags[at])
     if 0 < at < len(lags) - 1:
-        before, here, after = np.abs(size[at - 1:at + 2])
-        bend = before - 2.0 * here + after
-        lag += _STEP * 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+        lag += _STEP * _top(np.abs(size[at - 1:at + 2]))
     return lag, float(size[at])
+
+
+def _top(three: np.ndarray) -> float:
+    """Where the parabola through three values, of which the second is the largest, is largest: steps from that."""
+    before, here, after = three
+    bend = before - 2.0 * here + after
+    return 0.5 * (before - after) / bend if bend < 0.0 else 0.0
