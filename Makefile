@@ -49,13 +49,13 @@ compiled-oldest: .venv-oldest/ros
 docs: .venv/docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
 
-# an empty file in the environment for each set of extras that is installed there
+# an empty file in the environment for each set of extras that is installed there. Bytecode is made where it is needed:
+# that of all packages takes a minute of a core, of which most is never read
 .venv/%: setup.py pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python $(PIP) --editable '.[$*]'
+	$(BIN)/python $(PIP) --no-compile --editable '.[$*]'
 	touch '$@'
 
-# bytecode as the tests need it: that of all packages takes a minute of a core, of which most is never read
 .venv-oldest/%: setup.py pyproject.toml test/oldest.txt
 	test -x $(OLDEST)/python || $(PYTHON) -m venv .venv-oldest
 	$(OLDEST)/python $(PIP) --no-compile --editable '.[$*]' pytest pytest-xdist hypothesis --constraint test/oldest.txt
