@@ -34,8 +34,8 @@ test: compiled
 # tool. What the filter makes of other drives follows from the numbers; what the system does with files and signals, and
 # ROS 2 with topics, clocks and logs, is the same
 OLDEST_TESTS := $(wildcard $(patsubst %, test/test_%.py, compiled numbers examples replay evaluation_outages \
-    filter_columns filter_live filter_prediction filter_smoothing filter_update navigation* fusion_node* node_output \
-    node_start node_state_file characterize))
+    filter_columns filter_live filter_prediction filter_smoothing filter_update navigation* fusion_node \
+    fusion_node_parameters node_output node_state_file characterize))
 test-oldest: compiled-oldest
 	$(OLDEST)/python $(PYTEST) -k 'not killed and not interrupted and not overwritten' $(OLDEST_TESTS)
 
