@@ -34,8 +34,8 @@ test: compiled
 # tool. What the filter makes of other drives follows from the numbers; what the system does with files and signals, and
 # ROS 2 with topics, clocks and logs, is the same
 OLDEST_TESTS := $(wildcard $(patsubst %, test/test_%.py, compiled numbers examples replay evaluation_outages \
-    filter_columns filter_live filter_prediction filter_smoothing filter_update navigation* fusion_node* node_output \
-    node_start node_state_file characterize))
+    filter_columns filter_live filter_prediction filter_smoothing filter_update navigation* fusion_node \
+    fusion_node_parameters node_output node_state_file characterize))
 test-oldest: compiled-oldest
 	$(OLDEST)/python $(PYTEST) -k 'not killed and not interrupted and not overwritten' $(OLDEST_TESTS)
 
@@ -49,13 +49,13 @@ compiled-oldest: .venv-oldest/ros
 docs: .venv/docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
 
-# an empty file in the environment for each set of extras that is installed there
+# an empty file in the environment for each set of extras that is installed there. Bytecode is made where it is needed:
+# that of all packages takes a minute of a core, of which most is never read
 .venv/%: setup.py pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python $(PIP) --editable '.[$*]'
+	$(BIN)/python $(PIP) --no-compile --editable '.[$*]'
 	touch '$@'
 
-# bytecode as the tests need it: that of all packages takes a minute of a core, of which most is never read
 .venv-oldest/%: setup.py pyproject.toml test/oldest.txt
 	test -x $(OLDEST)/python || $(PYTHON) -m venv .venv-oldest
 	$(OLDEST)/python $(PIP) --no-compile --editable '.[$*]' pytest pytest-xdist hypothesis --constraint test/oldest.txt

@@ -499,7 +499,7 @@ def test_a_tool_in_a_long_computation_of_a_library_is_not_deaf(number):
 def test_an_interrupted_tool_cleans_up_and_says_so(tmp_path, number):
     environment = {**os.environ, 'PYTHONPATH': str(REPOSITORY)}
     tool = subprocess.Popen([sys.executable, '-m', 'mems_ins_fusion', 'simulate', '--output', str(tmp_path / 'out'),
-                             '--duration', '4000'], stderr=subprocess.PIPE, text=True, env=environment)
+                             '--duration', '1500'], stderr=subprocess.PIPE, text=True, env=environment)
     deadline = time.monotonic() + 120
     while not list(tmp_path.iterdir()) and time.monotonic() < deadline:
         time.sleep(0.01)

@@ -662,6 +662,12 @@ def test_a_value_that_is_better_known_goes_on_with_the_same_test(monkeypatch, dr
     assert work.wanted.tried in ({}, {'gnss_time_offset': {'gnss.time_offset': 0.12}})
 
 
+def read_number(path):
+    """The number in a file; None as long as there is none."""
+    text = path.read_text() if path.exists() else ''
+    return int(text) if text else None
+
+
 def test_the_process_has_its_share_and_goes_when_its_parent_does(tmp_path):
     # given a process that works for ever, at a tenth of a core
     began = time.monotonic()
@@ -674,45 +680,54 @@ def test_the_process_has_its_share_and_goes_when_its_parent_does(tmp_path):
         (tmp_path / 'pid').write_text(str(busy))
         os._exit(worker.supervise(busy, 0.1, os.getppid()))
     try:
-        time.sleep(4.0)
-        busy = int((tmp_path / 'pid').read_text())
-        ticks = open(f'/proc/{busy}/stat').read().rsplit(')', 1)[1].split()[11]
-        used = int(ticks) / os.sysconf('SC_CLK_TCK')
+        busy, used = None, 0.0
+        while used < 0.3:  # s of a core: three seconds, longer on a busy machine
+            time.sleep(0.05)
+            busy = busy or read_number(tmp_path / 'pid')
+            if busy:
+                ticks = open(f'/proc/{busy}/stat').read().rsplit(')', 1)[1].split()[11]
+                used = int(ticks) / os.sysconf('SC_CLK_TCK')
         # then it has had no more than that,
-        assert 0.0 < used < 0.15 * (time.monotonic() - began)
+        assert used < 0.15 * (time.monotonic() - began)
+    finally:
         os.kill(child, signal.SIGTERM)
         os.waitpid(child, 0)
-        # and is gone with who asked for it
-        assert not os.path.exists(f'/proc/{busy}')
-    finally:
-        try:
-            os.kill(child, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
+    # and is gone with who asked for it
+    assert not os.path.exists(f'/proc/{busy}')
 
 
 def test_a_process_that_does_not_get_its_share_is_not_stopped(tmp_path):
-    # given a process that gets a core for two thousandths of a second out of twenty, as on a busy machine
-    path = tmp_path / 'turns'
-    child = os.fork()
-    if not child:
+    # given two processes that get a core for two thousandths of a second out of twenty, as on a busy machine
+    def take_turns(path):
+        with open(path, 'wb', buffering=0) as turns:
+            while True:
+                time.sleep(0.018)
+                began = time.process_time()
+                while time.process_time() < began + 0.002:
+                    pass
+                turns.write(b'.')
+
+    def turns(name):
+        return (tmp_path / name).stat().st_size if (tmp_path / name).exists() else 0
+    # of which one has a share that it does not use up
+    supervised, free = os.fork(), None
+    if not supervised:
         waiting = os.fork()
         if not waiting:
-            with open(path, 'wb', buffering=0) as turns:
-                while True:
-                    time.sleep(0.018)
-                    began = time.process_time()
-                    while time.process_time() < began + 0.002:
-                        pass
-                    turns.write(b'.')
+            take_turns(tmp_path / 'supervised')
         os._exit(worker.supervise(waiting, 0.15, os.getppid()))
     try:
-        time.sleep(4.0)
+        free = os.fork()
+        if not free:
+            take_turns(tmp_path / 'free')
+        while turns('free') < 150:
+            time.sleep(0.05)
         # then it had all of its turns, and not only those in a part of the time
-        assert path.stat().st_size > 60
+        assert turns('supervised') > 0.6 * turns('free')
     finally:
-        os.kill(child, signal.SIGTERM)
-        os.waitpid(child, 0)
+        for child in filter(None, (supervised, free)):
+            os.kill(child, signal.SIGTERM)
+            os.waitpid(child, 0)
 
 
 def test_the_process_does_not_outlive_who_asked(tmp_path):
@@ -732,7 +747,7 @@ def test_the_process_does_not_outlive_who_asked(tmp_path):
 
 def test_the_node_tells_it_as_the_replay_does(drive, peer):
     # given the first minutes of a drive, with the bits of its messages, and a process that may have all of a core
-    recording = drive.having({name: s.select(s.stamp < drive.imu.stamp[0] + 183 * SECOND)
+    recording = drive.having({name: s.select(s.stamp < drive.imu.stamp[0] + 123 * SECOND)
                               for name, s in drive.streams().items()})
     places = {name: np.array([math.radians(degrees) for degrees in np.degrees(getattr(recording.gnss, name))])
               for name in ('latitude', 'longitude')}
@@ -752,7 +767,7 @@ def test_the_node_tells_it_as_the_replay_does(drive, peer):
         assert told[1].status[0].name == 'fusion_node: calibration: gnss_time_offset'
         assert told[1].status[0].message.startswith(COARSE)
         player.play()
-        peer.spin_until(lambda: len(told) >= 6)
+        peer.spin_until(lambda: len(told) >= 4)
         # then what it says after each chunk is what a replay says, and on /diagnostics
         expected = Online(table.check(settings))
         for message, chunk in zip(told, chunks(recording)):
