@@ -472,6 +472,8 @@ def test_one_fix_that_is_far_off_is_passed_over_and_two_are_another_speed():
     mem = compared([40.0, -20.0, 10.0], right.copy())
     np.testing.assert_allclose(mem[Seen.SHARE], 0.0, atol=1e-3)
     assert displacement.is_compared(mem, 0) and mem[Seen.REDUCED] > 0.9 * displacement.PRIOR
+    mem[Seen.DISPLACEMENT_TIME] = 40.0
+    compared([10.0] * 3, mem)
     assert mem[Seen.COMPARED] == 30.0  # since then
     # given a unit that changes
     mem = compared([36.0, 36.0], right.copy())
