@@ -268,6 +268,7 @@ def test_it_is_used_again_when_its_ways_fit():
 def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
     # given ways that are 4 % too long and turned by 0.1 rad, in all directions, and the real equations written down
     rng, mem = np.random.default_rng(1), np.zeros(Seen.SIZE)
+    mem[Seen.DISPLACEMENT_TIME] = 60.0
     displacement._begin(mem, 0, 2.0)
     x, p = np.zeros(4), np.diag([2.0, 2.0, displacement.PRIOR, displacement.PRIOR])  # distance north and east, share
     h, last = np.eye(2, 4), np.zeros(2)
@@ -454,6 +455,7 @@ def compared(ways, mem=None):
     """What is seen of an input with such ways while the vehicle goes 10 m north each second; fixes of 1 m^2."""
     if mem is None:
         mem = np.zeros(Seen.SIZE)
+        mem[Seen.DISPLACEMENT_TIME] = 30.0
         displacement._begin(mem, 0, 1.0)
     since = np.zeros(2)  # the latest fix that has been compared, by the input and by the fixes
     for one in ways:
@@ -470,11 +472,15 @@ def test_one_fix_that_is_far_off_is_passed_over_and_two_are_another_speed():
     mem = compared([40.0, -20.0, 10.0], right.copy())
     np.testing.assert_allclose(mem[Seen.SHARE], 0.0, atol=1e-3)
     assert displacement.is_compared(mem, 0) and mem[Seen.REDUCED] > 0.9 * displacement.PRIOR
+    mem[Seen.DISPLACEMENT_TIME] = 40.0
+    compared([10.0] * 3, mem)
+    assert mem[Seen.COMPARED] == 30.0  # since then
     # given a unit that changes
     mem = compared([36.0, 36.0], right.copy())
     assert not displacement.is_compared(mem, 0)
+    mem[Seen.DISPLACEMENT_TIME] = 70.0
     compared([36.0] * 6, mem)
-    assert displacement.is_compared(mem, 0) and displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05)
+    assert mem[Seen.COMPARED] == 70.0 and displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05)
     # when it is the right one again, it is refused until that is known
     compared([10.0, 10.0], mem)
     assert displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05) and mem[Seen.REDUCED] == 0.0
@@ -509,3 +515,21 @@ def test_only_an_input_that_was_used_since_the_fix_before_has_misled_the_filter(
     inputs._note_wrong_displacement(mem, r, at, 15)
     # then all fixes are used for a while only where it has, and it is refused in any case
     assert (mem[r + Nav.USE_ALL_FIXES] > 0.0) == misled and mem[own + Seen.FITTED] == -100.0
+
+
+@pytest.mark.parametrize('believed, lasts', [(99.0, 0.9), (93.9, 6.0), (20.0, 20.0)])
+def test_what_an_input_has_misled_is_undone_for_as_long_as_it_was_believed(believed, lasts):
+    # given a velocity half as fast again as the fixes, known since `believed` s and used until 99.9 s, at 100 s
+    mem, r, at = np.zeros(3000), 1000, 2800
+    own = r + 1500 - Seen.SIZE
+    mem[Head.WIDTH], mem[Head.LATERAL_SIGMA] = 1500, 0.3
+    mem[at + Event.KIND], mem[at + Event.INPUT], mem[at + Event.TIME] = Kind.VELOCITY, 1, 100.0
+    mem[own + Seen.START], mem[own + Seen.COMPARED], mem[own + Seen.FITTED] = 99.0, believed, 99.9
+    mem[own + Seen.SHARE], mem[own + Seen.REDUCED] = 0.5, displacement.PRIOR - 0.05**2
+    inputs._note_wrong_displacement(mem, r, at, 15)
+    # then all fixes are used for as long, 20 s at most
+    assert mem[r + Nav.USE_ALL_FIXES] == pytest.approx(lasts)
+    # and a longer time that began before is not cut
+    mem[r + Nav.USE_ALL_FIXES], mem[own + Seen.FITTED] = 15.0, 99.9
+    inputs._note_wrong_displacement(mem, r, at, 15)
+    assert mem[r + Nav.USE_ALL_FIXES] == pytest.approx(max(lasts, 15.0))

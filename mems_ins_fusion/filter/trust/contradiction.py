@@ -71,12 +71,12 @@ def raise_uncertainty(mem, r, n, innovation, since):
 
 
 @njit(_nrt=False)
-def use_all_fixes(mem, r):
-    """The state at r has been misled by an input that is wrong for certain, and the innovations have been that
-    input's, not the accelerometers'."""
+def use_all_fixes(mem, r, since):
+    """The state at r has been misled by an input that is wrong for certain and has been believed for `since` s, and the
+    innovations have been that input's, not the accelerometers'."""
     reset_scale(mem, r + ForceNoise.SCALE)
     if mem[Head.LATERAL_SIGMA] > 0.0:  # else nobody counts the time
-        mem[r + Nav.USE_ALL_FIXES] = USE_ALL_TIME
+        mem[r + Nav.USE_ALL_FIXES] = max(mem[r + Nav.USE_ALL_FIXES], min(since, USE_ALL_TIME))
 
 
 @njit(_nrt=False)

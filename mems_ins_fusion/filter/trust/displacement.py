@@ -65,7 +65,7 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
     mem[own + Seen.TRAVELLED] += mem[r + Nav.V_N] * since
     mem[own + Seen.TRAVELLED + 1] += mem[r + Nav.V_E] * since
     if before != 0.0 and since > LONGEST_PAUSE:  # too slow to be integrated, so nothing contradicts it
-        mem[own + Seen.COMPARED] = 1.0
+        _believe(mem, own)
     if yaw_variance > LARGEST_YAW_SIGMA**2:
         _forget_share(mem, own)
         interrupt(mem, own)
@@ -182,8 +182,15 @@ def learn(mem, own, moved, fixes, drift, noise):
     mem[own + Seen.DISTANCE_VARIANCE] = gain * noise
     mem[own + Seen.REJECTED] = 0.0
     if variance < COMPARED_SIGMA**2:
-        mem[own + Seen.COMPARED] = 1.0
+        _believe(mem, own)
     return True
+
+
+@njit(_nrt=False)
+def _believe(mem, own):
+    """Nothing has to be awaited before an input is believed."""
+    if mem[own + Seen.COMPARED] <= 0.0:
+        mem[own + Seen.COMPARED] = mem[own + Seen.DISPLACEMENT_TIME]
 
 
 @njit(_nrt=False)

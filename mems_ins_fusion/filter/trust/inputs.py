@@ -266,8 +266,9 @@ def _note_wrong_displacement(mem, r, at, n):
         tolerated = displacement.SIGNIFICANT * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
     if displacement.is_contradicted(mem, own, kind, tolerated):
         # it has misled the state where it was used since the fix before: one that was refused has not
-        if mem[own + Seen.FITTED] > max(mem[own + Seen.START] - displacement.LONGEST_PAUSE, 0.0):
-            contradiction.use_all_fixes(mem, r)
+        fitted = mem[own + Seen.FITTED]
+        if fitted > max(mem[own + Seen.START] - displacement.LONGEST_PAUSE, 0.0):
+            contradiction.use_all_fixes(mem, r, fitted - mem[own + Seen.COMPARED])
         mem[own + Seen.FITTED] = -mem[at + Event.TIME]
 
 

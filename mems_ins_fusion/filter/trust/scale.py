@@ -64,7 +64,7 @@ class _Seen(NamedTuple):
     COVARIANCE: int = 18  # and its covariance with the share, m
     SHARE: int = 20  # by which its displacements are longer than those of the fixes, and turned,
     REDUCED: int = 22  # and how much of `displacement.PRIOR` its variance has lost,
-    COMPARED: int = 23  # 1: enough of it at some time, -1: no more, and it was wrong
+    COMPARED: int = 23  # time, s, since which enough of it has been known; 0: never, -1: no more, and it was wrong
     REJECTED: int = 24  # fixes in a row beyond its gate
     FITTED: int = 25  # time, s, of the latest one that fitted; negative: of the latest that fixes contradict
     LATEST: int = 26  # two values of the latest message, see trust/repeats.py,
