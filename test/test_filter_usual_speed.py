@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from filter_support import LATITUDE, LONGITUDE, configure, fix_record, started, take_all
 
-from mems_ins_fusion.filter.memory import Nav, covariance_index
-from mems_ins_fusion.filter.trust.scale import Scale
+from mems_ins_fusion.filter.memory import Nav, covariance_index, views
+from mems_ins_fusion.filter.trust.scale import PRIOR, Scale
 from mems_ins_fusion.filter.trust.usual_speed import ASSUMED, CORRELATION, SHORTEST_OUTAGE, UsualSpeed
 from mems_ins_fusion.navigation.earth import gravity, radii
 
@@ -27,14 +27,16 @@ def coasting(seconds):
     return samples
 
 
-def without_fixes(sigma, velocity=6.0, seconds=60.0):
+def without_fixes(sigma, velocity=6.0, seconds=60.0, learned=True):
     """Each second: time, s, velocity north, m/s, its variance and that of the velocity east, of a filter that begins
-    with this sigma, m/s, and has no fix."""
+    with this sigma, m/s, and has no fix; learned: whether it knows that ASSUMED is usual."""
     config = configure(EXACT)
     i = config.layout.index('v_n')
     p = 1e-12 * np.eye(config.layout.n)
     p[i, i] = p[i + 1, i + 1] = sigma**2
     memory = started(config, velocity=(velocity, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
+    if learned:
+        views(memory)[2][0][[UsualSpeed.SCALE + Scale.TIME, UsualSpeed.SCALE + Scale.REDUCED]] = -1.0, PRIOR
     rows, _ = take_all(memory, coasting(seconds), np.zeros((0, len(fix_record(0.0)))),
                        [Nav.TIME, Nav.V_N, *(covariance_index(k, k, config.layout) for k in (i, i + 1))])
     return rows[round(RATE) - 1::round(RATE)].T
@@ -56,6 +58,11 @@ def test_without_fixes_the_usual_speed_is_one_measurement_in_each_correlation_ti
 
 def test_a_velocity_that_is_known_better_stays_as_it_is():
     _, velocity, *_ = without_fixes(0.8 * math.sqrt(ASSUMED))
+    assert velocity == pytest.approx(6.0, abs=1e-6)
+
+
+def test_a_velocity_stays_as_it_is_where_fixes_have_shown_none():
+    _, velocity, *_ = without_fixes(30.0, learned=False)
     assert velocity == pytest.approx(6.0, abs=1e-6)
 
 

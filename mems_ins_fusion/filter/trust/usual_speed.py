@@ -39,9 +39,11 @@ def learn_speed(mem, r, time):
 def bounds(mem, r):
     """Whether the velocity of the state at r is less certain, without fixes, than that of any vehicle like this.
 
-    Where it is known better, the usual one would make it a little smaller all the time, and no surer.
+    Where it is known better, the usual one would make it a little smaller all the time, and no surer; and before fixes
+    have shown any speed, nothing is usual.
     """
-    return (mem[r + Nav.TIME] - mem[r + Nav.FIX_TIME] > SHORTEST_OUTAGE
+    return (mem[r + UsualSpeed.SCALE + Scale.TIME] != 0.0
+            and mem[r + Nav.TIME] - mem[r + Nav.FIX_TIME] > SHORTEST_OUTAGE
             and 0.5 * velocity_variance(mem, r) > _usual(mem, r))
 
 
