@@ -447,8 +447,8 @@ def test_the_direction_of_a_heading_is_compared_and_the_length_of_a_speed(kind, 
     mem = np.zeros(Seen.SIZE)
     mem[Seen.SHARE:Seen.SHARE + 2] = np.real(ratio) - 1.0, np.imag(ratio)
     mem[Seen.REDUCED] = displacement.PRIOR - 1e-12
-    assert off == 0.0 or displacement.is_contradicted(mem, 0, kind, off - 0.01)
-    assert not displacement.is_contradicted(mem, 0, kind, off + 0.01)
+    assert off == 0.0 or displacement.differs(mem, 0, kind, off - 0.01)
+    assert not displacement.differs(mem, 0, kind, off + 0.01)
 
 
 def compared(ways, mem=None):
@@ -480,12 +480,12 @@ def test_one_fix_that_is_far_off_is_passed_over_and_two_are_another_speed():
     assert not displacement.is_compared(mem, 0)
     mem[Seen.DISPLACEMENT_TIME] = 70.0
     compared([36.0] * 6, mem)
-    assert mem[Seen.COMPARED] == 70.0 and displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05)
+    assert mem[Seen.COMPARED] == 70.0 and displacement.differs(mem, 0, Kind.SPEED, 0.05)
     # when it is the right one again, it is refused until that is known
     compared([10.0, 10.0], mem)
-    assert displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05) and mem[Seen.REDUCED] == 0.0
+    assert displacement.differs(mem, 0, Kind.SPEED, 0.05) and mem[Seen.REDUCED] == 0.0
     compared([10.0] * 12, mem)
-    assert displacement.is_compared(mem, 0) and not displacement.is_contradicted(mem, 0, Kind.SPEED, 0.05)
+    assert displacement.is_compared(mem, 0) and not displacement.differs(mem, 0, Kind.SPEED, 0.05)
 
 
 @pytest.mark.parametrize('rate', [10.0, 100.0])

@@ -8,7 +8,7 @@ import pytest
 from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, started, take_all, take_event, take_sample
 
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, newest_row, state_at, views
-from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu, is_contradicted
+from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu, is_wrong
 from mems_ins_fusion.filter.trust.standstill import MOVING_SPEED, certain_speed, velocity_sigma
 from mems_ins_fusion.navigation.earth import gravity
 
@@ -82,10 +82,10 @@ def test_an_imu_that_the_fixes_have_contradicted_is_doubted_twice_as_long_each_t
     memory[r + Nav.DIVERGENCES], memory[r + Nav.DIVERGENCE_TIME] = times, 100.0
     # then
     at = 0.0, seconds - 1.0, seconds + 1.0
-    assert [bool(is_contradicted(memory, r, 100.0 + t)) for t in at] == [True, True, False]
+    assert [bool(is_wrong(memory, r, 100.0 + t)) for t in at] == [True, True, False]
     # and one that was not is not
     memory[r + Nav.DIVERGENCES] = 0.0
-    assert not is_contradicted(memory, r, 100.0)
+    assert not is_wrong(memory, r, 100.0)
 
 
 @BOTH

@@ -143,8 +143,8 @@ def take_sample(memory, samples, i):
     sigma = velocity_sigma(memory, before)
     speed = certain_speed(memory, before, sigma)
     before_fault = memory[nonnegative(sample_at(memory, k - 1)) + Sample.FAULT]
-    contradicted = imu_faults.is_contradicted(memory, before, time)
-    fault = imu_faults.check(memory, samples, i, dt, speed, contradicted, before_fault)
+    wrong = imu_faults.is_wrong(memory, before, time)
+    fault = imu_faults.check(memory, samples, i, dt, speed, wrong, before_fault)
     memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
     memory[sample + Sample.RATE_SCATTER] = memory[Imu.SPREAD + 1]
     if fault == Fault.NONE:

@@ -184,7 +184,7 @@ def _start_from_fixes(memory, other, r, interval):
     memory[Bank.SCATTER] = excess_scatter(memory, r)
     k = state_before(other, other[r + Nav.FIX_TIME])
     return_to(other, k)
-    _start_anew(other, k, 1.0)
+    _start_anew(other, k, hypotheses.START_ANEW)
     behind = hypotheses.restart_penalty(memory, memory[r + Nav.FIX_TIME] - begun)
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
 
@@ -211,7 +211,7 @@ def _start_without_imu(memory, other, r):
     fits = using[r + Hypothesis.OUTLIER_NATS] < 0.0
     if (refusing[r + Hypothesis.FIXES_WRONG] == 0.0 or nats < 0.0 or fits
             or hypotheses.score(refusing, r) + nats < hypotheses.score(using, r)
-            or imu_faults.is_contradicted(using, r, time)):
+            or imu_faults.is_wrong(using, r, time)):
         return
     k = state_before(refusing, time)
     before = time_of(refusing, k)
@@ -229,7 +229,7 @@ def _start_without_imu(memory, other, r):
     other[start + Hypothesis.FIXES_WRONG] = 0.0
     squared = 0.5 * (memory[r + Hypothesis.IMU_DRIFT] ** 2 + memory[r + Hypothesis.IMU_DRIFT + 1] ** 2)
     learn_from_velocity(other, start, time, squared, time - memory[Bank.WRONG_SINCE])
-    _start_anew(other, k, 2.0)
+    _start_anew(other, k, hypotheses.START_WITHOUT_IMU)
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] + nats
     _swap(memory, other)
     memory[Bank.SEARCHED] = 1.0

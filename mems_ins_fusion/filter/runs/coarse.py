@@ -2,9 +2,9 @@
 
 The samples of a step become one: with the rotation that they make together, and the mean specific force in the axes of
 the middle of the step, both to second order in the rotation since then, so that turns and fast vibrations (coning,
-sculling) have the same effect as sample by sample. All that a single sample
-shows, as faults and standstills, is what the filter itself has seen. A step costs what a sample of the filter costs,
-and there is one for twenty samples at 100 Hz.
+sculling) have the same effect as sample by sample. All that a single sample shows, as faults and standstills, is what
+the filter itself has seen. A step costs what a sample of the filter costs, and there is one for twenty samples at 100
+Hz.
 """
 from __future__ import annotations
 

@@ -200,7 +200,7 @@ def is_compared(mem, own):
 
 
 @njit(_nrt=False)
-def is_contradicted(mem, own, kind, tolerated):
+def differs(mem, own, kind, tolerated):
     """Whether the displacements of an input of this kind are significantly not those of the fixes. tolerated: share by
     which they may differ; of a heading, rad."""
     share = complex(mem[own + Seen.SHARE], mem[own + Seen.SHARE + 1])

@@ -9,7 +9,7 @@ the filter says of them, is its *score*:
 * *They are right, and the IMU is wrong since t0*: the filter that uses no fixes is off by an offset that changes as a
   vehicle accelerates. This needs no third filter: the likelihood of the fixes is that of a Kalman filter of the offset
   and its drift beside the second one (`IMU_NATS`). Where it is the most likely, the published filter starts anew from
-  the fixes with the velocity that they show, and goes on without the IMU for a while (`imu_faults.is_contradicted`).
+  the fixes with the velocity that they show, and goes on without the IMU for a while (`imu_faults.is_wrong`).
 
 The second is begun where a fix is so unlikely that the receiver may have failed, and ends where it has lost or both
 agree (`bank.py`). Where several fixes have been refused in a row, the published filter takes them for wrong, and the
@@ -45,10 +45,12 @@ Hypothesis = ROW.place(
     IMU_DRIFT=2,  # m/s, by what that changes,
     IMU_VARIANCE=3,  # and their variances, as those of OFFSET and DRIFT
     AGAINST_START=1,  # 1: it is compared with a filter that has started anew from these fixes,
-    START_DUE=1,  # 1: the next fix is one that position and velocity start anew from; 2: and the IMU is wrong,
+    START_DUE=1,  # START_ANEW, START_WITHOUT_IMU, or 0: the next fix is used as any other,
     CONSISTENT=1,  # 1: it has refused no row of fixes since that start, or since it became the second filter
     SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
 
+#: position and velocity start anew from the next fix, without or with the IMU known as wrong
+START_ANEW, START_WITHOUT_IMU = 1.0, 2.0
 #: 1/s: rate of faults of a receiver, one an hour (multipath, tunnels, wrong integers: drives in cities)
 FAULT_RATE = 1.0 / 3600.0
 #: 1/s: rate at which such a fault ends, after 20 s

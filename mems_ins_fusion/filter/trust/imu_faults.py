@@ -72,14 +72,14 @@ ALWAYS = 0.9
 #: s: a filter that has diverged from fixes that were right does not use the IMU for so long, twice as long each
 #: further time. Longer than a fault that passes (a kerb, a driver that restarts); with 60 s errors are as large, and
 #: the filter is without an IMU for twice as long
-CONTRADICTED_TIME = 30.0
+WRONG_TIME = 30.0
 
 
 @njit(_nrt=False)
-def is_contradicted(mem, r, time):
-    """Whether what the fixes have shown till the state at r speaks against the IMU at `time`."""
+def is_wrong(mem, r, time):
+    """Whether the fixes till the state at r have shown that the IMU is wrong at `time`, s."""
     times = mem[r + Nav.DIVERGENCES]
-    return times >= 1.0 and time - mem[r + Nav.DIVERGENCE_TIME] < CONTRADICTED_TIME * 2.0 ** (times - 1.0)
+    return times >= 1.0 and time - mem[r + Nav.DIVERGENCE_TIME] < WRONG_TIME * 2.0 ** (times - 1.0)
 
 
 @njit(_nrt=False)

@@ -264,7 +264,7 @@ def _note_wrong_displacement(mem, r, at, n):
     error, tolerated = _constant_error(mem, at), displacement.TOLERATED_SHARE
     if error >= 0:
         tolerated = displacement.SIGNIFICANT * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
-    if displacement.is_contradicted(mem, own, kind, tolerated):
+    if displacement.differs(mem, own, kind, tolerated):
         # it has misled the state where it was used since the fix before: one that was refused has not
         fitted = mem[own + Seen.FITTED]
         if fitted > max(mem[own + Seen.START] - displacement.LONGEST_PAUSE, 0.0):

@@ -124,7 +124,7 @@ def start_anew(mem, r, at):
     """
     # where it may as well be the fixes that are wrong, nothing is said against the IMU
     due, mem[r + Hypothesis.START_DUE] = mem[r + Hypothesis.START_DUE], 0.0
-    if due == 2.0:
+    if due == hypotheses.START_WITHOUT_IMU:
         diverged = True
         v_n, v_e, drift = hypotheses.velocity_if_imu_wrong(mem, r)
     else:

@@ -34,7 +34,7 @@ Receiver = ROW.place(
 
 #: s from the first to the last of three fixes that are compared with a straight line: in more, what a vehicle does
 #: takes it further from that than any receiver scatters. A fix each ten seconds still counts
-LONGEST_LINE = 30.0
+LONGEST_OF_THREE = 30.0
 #: s over which the receiver's scatter is seen in how its error changes: over less than that errors are alike
 SHORTEST_PAIR = 0.9
 #: m/s^2, by which the inertial sensors are wrong in between at most, as far as the filter knows: half a degree of tilt
@@ -354,7 +354,7 @@ def _learn_from_line(mem, r, at, claimed):
     step, whole = time - mem[last], time - mem[first]
     if mem[last] != 0.0 and step < SHORTEST_PAIR:
         return
-    if mem[first] != 0.0 and whole < LONGEST_LINE:
+    if mem[first] != 0.0 and whole < LONGEST_OF_THREE:
         part = step / whole
         if mem[r + Receiver.SMOOTH_SCALE + Scale.REDUCED] == 0.0:  # begins with what the start has shown
             mem[r + Receiver.SMOOTH_SCALE + Scale.LOG] = max(mem[r + Receiver.SCALE + Scale.LOG], 0.0)

@@ -76,7 +76,7 @@ STRAIGHT_SHARE = 0.15
 #: s for which they are compared with one line: after that the vehicle may have turned
 LONGEST_LINE = 60.0
 #: s for which a standstill that they contradict is none: time to learn how quiet the vehicle is in motion
-CONTRADICTED_TIME = 60.0
+MOTION_TIME = 60.0
 #: fixes, a second or more apart, through which such a line goes at least. Chosen, not measured
 FEWEST_FIXES = 5.0
 #: s: time constant of each of the two low passes; an engine shakes faster than what they leave
@@ -133,10 +133,10 @@ def wheels_turn(mem, r):
 
 
 @njit(_nrt=False)
-def is_contradicted(mem, r):
+def fixes_show_motion(mem, r):
     """Whether fixes have shown lately that the vehicle moves, although its accelerometers are as quiet as at rest."""
     latest = mem[r + Standing.CONTRADICTED]
-    return latest != 0.0 and mem[r + Nav.TIME] - latest < CONTRADICTED_TIME
+    return latest != 0.0 and mem[r + Nav.TIME] - latest < MOTION_TIME
 
 
 @njit(_nrt=False)

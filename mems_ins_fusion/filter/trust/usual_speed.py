@@ -2,8 +2,8 @@
 
 The velocity of a vehicle is a stationary random process: R. A. Singer, "Estimating optimal tracking filter performance
 for manned maneuvering targets", IEEE Trans. Aerospace and Electronic Systems 6, 1970, has the same for accelerations.
-So without any measurement each component has mean zero and the variance that the drive has shown. An IMU does
-not know that: without fixes the error of its integral grows without bound, and a robot is as fast as a car.
+So without any measurement each component has mean zero and the variance that the drive has shown. Nothing of that is in
+the integral of an IMU: without fixes its error grows without bound, until a robot seems to be as fast as a car.
 """
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ASSUMED = 5.0**2
 #: s, after which the velocity of a vehicle is another one: it turns, stops or speeds up. One velocity in that time is
 #: learned from, and without fixes the variance counts as one measurement in that time
 CORRELATION = 20.0
-#: s without a fix after which it is applied: before that a fix is on its way
+#: s without a fix after which it is applied: most receivers have one each second, and some each five
 SHORTEST_OUTAGE = 5.0
 
 
