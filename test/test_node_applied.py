@@ -87,7 +87,8 @@ def test_a_signal_ends_node_and_diagnosis_with_little_work_and_the_state_in_the_
         peer.play(node, part)
         child, = subprocess.run(['pgrep', '-P', str(node.pid)], capture_output=True, text=True).stdout.split()
         worker, = subprocess.run(['pgrep', '-P', child], capture_output=True, text=True).stdout.split()
-        others, before = children_seconds(), seconds_of(node.pid)
+        # the node counts the time of the other two where it has seen them end
+        others, before = children_seconds(), sum(seconds_of(pid) for pid in (node.pid, child, worker))
         path.unlink()
         # when a signal comes
         node.send(number)
