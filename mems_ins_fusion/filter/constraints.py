@@ -9,12 +9,14 @@ from .measurements import acceleration, non_holonomic, standstill
 from .measurements.geometry import angular_rate, body_to_level
 from .memory import (
     NAV,
+    Error,
     Event,
     Head,
     Kind,
     Nav,
     Sample,
     channel_of,
+    row_of,
     store_covariance,
     velocity_state,
     velocity_variance,
@@ -80,7 +82,8 @@ def constrain(mem, r, sample):
                 mem[p + (n + 1) * (velocity_state(mem) + i)] += mem[r + Nav.V_N + i] ** 2
     if still:
         mem[r + Standing.TIME] = mem[r + Nav.TIME]
-        dimensions = standstill.observe_velocity(mem, r, at, h, n)
+        dimensions = 3 if row_of(mem, Error.V_D) >= 0 else 2
+        standstill.observe_velocity(mem, r, at, h, n, dimensions, mem[Head.ZERO_VELOCITY_SIGMA] ** 2)
         update(mem, r, at, n, dimensions, 1.0, 1.0, 0.0, 0.0, 0.0)
         _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)
         clear_rows(mem, h, n)
@@ -100,8 +103,8 @@ def constrain(mem, r, sample):
             _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)
         if usual_speed.bounds(mem, r):
             clear_rows(mem, h, n)
-            dimensions = usual_speed.observe(mem, r, at, h, n, since)
-            update(mem, r, at, n, dimensions, 1.0, 1.0, ROBUST, 0.0, 0.0)
+            standstill.observe_velocity(mem, r, at, h, n, 2, usual_speed.variance(mem, r, since))
+            update(mem, r, at, n, 2, 1.0, 1.0, ROBUST, 0.0, 0.0)
     else:
         store_covariance(mem, p, int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), mem, r)
         return

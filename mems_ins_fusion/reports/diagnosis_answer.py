@@ -46,7 +46,7 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, bags: Sequ
     return Answer(_grade(d, lacking), headline(d.verdict, d.changed, d.tried),
                   [*out, *found, *to_set, *shown, *said], cost(d), _steps(d, output, bags, params_file, settings),
                   trust_text(d.trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
-                  [*tried, *left, *(said for said in d.remarks if not any(name in said for name in changed(d)))],
+                  [*tried, *left, *(text for text in d.remarks if not any(name in text for name in changed(d)))],
                   because(d.verdict))
 
 

@@ -34,4 +34,3 @@ def size(name: str, parameter: str, estimate: Estimate) -> str:
     factor, unit = shown.get(estimate.unit, (1.0, f' {estimate.unit}'))
     value, sigma = abs(estimate.value) * factor, estimate.sigma * factor if estimate.known else None
     return words[estimate.value < 0].format(with_sigma(value, sigma) + unit)
-

@@ -75,6 +75,8 @@ def run_copies(switch) -> None:
     switch.on()
     work.advance(memory, (later + APART + 1) * COUNTED)
     switch.off()
+
+
 def run_all(switch) -> None:
     for values in CASES.values():
         run_case(values, switch)

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import WHITE, Error, Event, Head, Nav, Sample, channel_of, row_of
+from ..memory import WHITE, Error, Event, Nav, Sample, channel_of
 from .geometry import add
 
 #: rad/s (0.2 deg/h), smallest standard deviation of an angular rate at a standstill: less than any gyroscope resolves.
@@ -12,15 +12,13 @@ SMALLEST_RATE_SIGMA = 1e-6
 
 
 @njit(_nrt=False)
-def observe_velocity(mem, r, at, h, n):
-    """Zero velocity. Returns the number of components."""
-    dimensions = 3 if row_of(mem, Error.V_D) >= 0 else 2
+def observe_velocity(mem, r, at, h, n, dimensions, variance):
+    """Zero velocity to north and east and, of three `dimensions`, down, each with `variance`, m^2/s^2."""
     for k in range(dimensions):
         mem[at + Event.Z_N + k] = mem[r + Nav.V_N + k]
         add(mem, h + n * k, Error.V_N + k, 1.0)
-    mem[at + Event.R_NN] = mem[at + Event.R_EE] = mem[at + Event.R_DD] = mem[Head.ZERO_VELOCITY_SIGMA] ** 2
+    mem[at + Event.R_NN] = mem[at + Event.R_EE] = mem[at + Event.R_DD] = variance
     mem[at + Event.R_NE] = 0.0
-    return dimensions
 
 
 @njit(_nrt=False)

@@ -89,8 +89,7 @@ def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin:
 
     begin: (o,) ns, ascending. duration: s, length of all outages or of each (o,), which may end with the recording.
     keep, start: as for `run`. announces: whether the trust horizon is asked for: what copies without fixes have shown
-    until then is part of it (withheld.py). Outages that begin while the filter is
-    not running are left out.
+    until then is part of it (withheld.py). Outages that begin while the filter is not running are left out.
     """
     work = Replay(config, imu, fixes, aiding, start, keep, np.asarray(begin, dtype=np.int64), duration)
     work.announces = announces

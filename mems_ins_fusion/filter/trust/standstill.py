@@ -152,10 +152,10 @@ def shown_speed(mem, r, at, variance):
 
     variance: of a component of the fix, as fixes scatter, m^2.
     """
-    line, time = r + Standing.LINE, mem[at + Event.TIME]
-    if not stands(mem, r) or time - mem[line + Line.SINCE] > LONGEST_LINE or mem[r + Nav.REFUSED] > 0.0:
+    line, time, standing = r + Standing.LINE, mem[at + Event.TIME], stands(mem, r)
+    if not standing or time - mem[line + Line.SINCE] > LONGEST_LINE or mem[r + Nav.REFUSED] > 0.0:
         mem[line + Line.COUNT] = 0.0
-    if not stands(mem, r):
+    if not standing:
         return 0.0, 0.0
     if mem[line + Line.COUNT] == 0.0:
         begin_line(mem, line, time)

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from mems_ins_fusion.compiled import njit
 
-from ..measurements.geometry import add
-from ..memory import ROW, Error, Event, Nav, velocity_variance
+from ..memory import ROW, Nav, velocity_variance
 from .scale import Scale, learn, scale
 
 #: of a state: realised variance of the velocity over ASSUMED
@@ -48,17 +47,9 @@ def bounds(mem, r):
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, n, since):
-    """Zero velocity, with the variance of that of the vehicle. Returns the number of components.
-
-    since: s since the previous constraint.
-    """
-    for k in range(2):
-        mem[at + Event.Z_N + k] = mem[r + Nav.V_N + k]
-        add(mem, h + n * k, Error.V_N + k, 1.0)
-    mem[at + Event.R_NN] = mem[at + Event.R_EE] = _usual(mem, r) * CORRELATION / since
-    mem[at + Event.R_NE] = 0.0
-    return 2
+def variance(mem, r, since):
+    """Variance with which zero is applied as the velocity, m^2/s^2; since: s since the previous constraint."""
+    return _usual(mem, r) * CORRELATION / since
 
 
 @njit(_nrt=False)
