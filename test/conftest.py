@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,16 @@ def pytest_xdist_make_scheduler(config, log):
                 super()._reschedule(node)
 
     return Files(config, log) if config.getoption('dist') == 'loadfile' else None
+
+
+@pytest.fixture(autouse=True)
+def signals_as_before():
+    """A node or a tool in the process of the tests asks for signals as if it were its own; its children would, too."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in handlers.items():
+        if handler is not None and handler is not signal.getsignal(number):
+            signal.signal(number, handler)
 
 
 @pytest.fixture

@@ -85,7 +85,7 @@ def _child(work, said, longest: float) -> int:
         os.dup2(said, 2)
         sys.stdout, sys.stderr = os.fdopen(1, 'w', closefd=False), os.fdopen(2, 'w', closefd=False)
         resource.setrlimit(resource.RLIMIT_CPU, (round(2 * longest), resource.RLIM_INFINITY))
-        signal.alarm(round(20 * longest))  # its default action ends the process: nothing waits for ever
+        signal.alarm(round(10 * longest))  # ends the process before its test counts as one that hangs
         room = 4 * 2**30  # the machine survives what is not refused
         used = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + room, resource.RLIM_INFINITY))

@@ -1,7 +1,6 @@
 """The node's parameters: what is refused and how it is said, how they are described; and the messages it fills."""
 from __future__ import annotations
 
-import signal
 import sys
 import types
 
@@ -20,17 +19,13 @@ from mems_ins_fusion.parameters import table
 @pytest.fixture
 def refusal(capsys):
     """Runs the node in this process; returns the one line it refuses its arguments with."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
     def run(*arguments):
         assert fusion_node.main([*arguments]) == 2
         line, end = capsys.readouterr().err.split('\n')
         assert end == ''
         return line.removeprefix('fusion_node: ')
 
-    yield run
-    for number, handler in handlers.items():
-        signal.signal(number, handler)
+    return run
 
 
 @pytest.mark.parametrize('name, value, said', [

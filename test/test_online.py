@@ -6,6 +6,8 @@ import math
 import os
 import pickle
 import signal
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -15,7 +17,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_support import PLAYABLE, Diagnostics, NodeProcess, Player, stamp_of
+from ros_support import PATIENCE, PLAYABLE, REPOSITORY, Diagnostics, NodeProcess, Player, stamp_of
 
 from mems_ins_fusion.diagnosis import online, trial_outages, worker
 from mems_ins_fusion.diagnosis.advice import Advice
@@ -662,26 +664,54 @@ def test_a_value_that_is_better_known_goes_on_with_the_same_test(monkeypatch, dr
     assert work.wanted.tried in ({}, {'gnss_time_offset': {'gnss.time_offset': 0.12}})
 
 
+#: a process with a share of a core, by `supervise`; arguments: that share, the file for its number
+SUPERVISED = """
+import os, sys
+from mems_ins_fusion.diagnosis import worker
+supervised = os.fork()
+if not supervised:
+    work()
+open(sys.argv[2], 'w').write(f'{{supervised}}\\n')
+os._exit(worker.supervise(supervised, float(sys.argv[1]), {parent}))
+"""
+FOR_EVER = """
+def work():
+    while True:
+        pass
+"""
+TURNS = """
+import sys, time
+def work():  # two thousandths of a second out of twenty
+    while True:
+        time.sleep(0.018)
+        began = time.process_time()
+        while time.process_time() < began + 0.002:
+            pass
+        sys.stdout.write('.')
+        sys.stdout.flush()
+"""
+
+
+def started(script: str, *arguments, **options) -> subprocess.Popen:
+    """A process that runs a script: one forked here would have the signal handlers of other tests and the pipe of
+    pytest-xdist, which waits for whoever has it."""
+    return subprocess.Popen([sys.executable, '-c', script, *map(str, arguments)], cwd=REPOSITORY, **options)
+
+
 def read_number(path):
-    """The number in a file; None as long as there is none."""
+    """The number in a file; None as long as it is not all there."""
     text = path.read_text() if path.exists() else ''
-    return int(text) if text else None
+    return int(text) if text.endswith('\n') else None
 
 
 def test_the_process_has_its_share_and_goes_when_its_parent_does(tmp_path):
     # given a process that works for ever, at a tenth of a core
     began = time.monotonic()
-    child = os.fork()
-    if not child:
-        busy = os.fork()
-        if not busy:
-            while True:
-                pass
-        (tmp_path / 'pid').write_text(str(busy))
-        os._exit(worker.supervise(busy, 0.1, os.getppid()))
+    child = started(FOR_EVER + SUPERVISED.format(parent='os.getppid()'), 0.1, tmp_path / 'pid')
     try:
         busy, used = None, 0.0
         while used < 0.3:  # s of a core: three seconds, longer on a busy machine
+            assert child.poll() is None and time.monotonic() < began + PATIENCE
             time.sleep(0.05)
             busy = busy or read_number(tmp_path / 'pid')
             if busy:
@@ -690,59 +720,43 @@ def test_the_process_has_its_share_and_goes_when_its_parent_does(tmp_path):
         # then it has had no more than that,
         assert used < 0.15 * (time.monotonic() - began)
     finally:
-        os.kill(child, signal.SIGTERM)
-        os.waitpid(child, 0)
+        child.terminate()
+        child.wait(PATIENCE)
     # and is gone with who asked for it
     assert not os.path.exists(f'/proc/{busy}')
 
 
 def test_a_process_that_does_not_get_its_share_is_not_stopped(tmp_path):
-    # given two processes that get a core for two thousandths of a second out of twenty, as on a busy machine
-    def take_turns(path):
-        with open(path, 'wb', buffering=0) as turns:
-            while True:
-                time.sleep(0.018)
-                began = time.process_time()
-                while time.process_time() < began + 0.002:
-                    pass
-                turns.write(b'.')
-
-    def turns(name):
-        return (tmp_path / name).stat().st_size if (tmp_path / name).exists() else 0
-    # of which one has a share that it does not use up
-    supervised, free = os.fork(), None
-    if not supervised:
-        waiting = os.fork()
-        if not waiting:
-            take_turns(tmp_path / 'supervised')
-        os._exit(worker.supervise(waiting, 0.15, os.getppid()))
+    # given two processes that get a core for a tenth of the time, as on a busy machine, of which one has a share that
+    # it does not use up
+    paths = tmp_path / 'supervised', tmp_path / 'free'
+    with open(paths[0], 'wb') as supervised, open(paths[1], 'wb') as free:
+        children = [started(TURNS + SUPERVISED.format(parent='os.getppid()'), 0.15, tmp_path / 'pid',
+                            stdout=supervised), started(TURNS + 'work()', stdout=free)]
     try:
-        free = os.fork()
-        if not free:
-            take_turns(tmp_path / 'free')
-        while turns('free') < 150:
+        deadline = time.monotonic() + PATIENCE
+        while not all(path.stat().st_size for path in paths):
+            assert time.monotonic() < deadline
             time.sleep(0.05)
+        begun = [path.stat().st_size for path in paths]
+        while paths[1].stat().st_size < begun[1] + 150:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        turns = [path.stat().st_size - before for path, before in zip(paths, begun)]
         # then it had all of its turns, and not only those in a part of the time
-        assert turns('supervised') > 0.6 * turns('free')
+        assert turns[0] > 0.6 * turns[1]
     finally:
-        for child in filter(None, (supervised, free)):
-            os.kill(child, signal.SIGTERM)
-            os.waitpid(child, 0)
+        for child in children:
+            child.terminate()
+        for child in children:
+            child.wait(PATIENCE)
 
 
 def test_the_process_does_not_outlive_who_asked(tmp_path):
     # given one whose parent is not there any more, as after kill -9
-    child = os.fork()
-    if not child:
-        busy = os.fork()
-        if not busy:
-            time.sleep(600.0)
-            os._exit(0)
-        (tmp_path / 'pid').write_text(str(busy))
-        os._exit(worker.supervise(busy, 0.5, os.getpid()))  # which is not its parent
-    _, status = os.waitpid(child, 0)
-    assert os.waitstatus_to_exitcode(status) == -signal.SIGKILL & 0xFF
-    assert not os.path.exists(f"/proc/{(tmp_path / 'pid').read_text()}")
+    child = started(FOR_EVER + SUPERVISED.format(parent='os.getpid()'), 0.5, tmp_path / 'pid')
+    assert child.wait(PATIENCE) == -signal.SIGKILL & 0xFF
+    assert not os.path.exists(f"/proc/{read_number(tmp_path / 'pid')}")
 
 
 def test_the_node_tells_it_as_the_replay_does(drive, peer):
