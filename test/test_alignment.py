@@ -15,6 +15,7 @@ from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.memory import Head, views
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.filter.start.at_rest import blocks_of
 from mems_ins_fusion.filter.start.course import _bent
 from mems_ins_fusion.filter.start.initial import channel_prior
 from mems_ins_fusion.filter.trust.scale import scale
@@ -462,3 +463,18 @@ def test_who_reverses_out_faster_than_usual_and_then_goes_forwards_has_a_heading
     config, recording = recorded(drive, 2, sigma=0.02, **CAR)
     start = run(config, recording.imu, scattered(recording, 1.5, 1.5, 2).gnss).start
     assert abs(wrap(start.yaw - drive.at(start.time).yaw[0])) < 4.0 * math.sqrt(start.covariance[4, 4])
+
+
+def test_blocks_of_samples_that_have_grown_are_those_of_all_of_them(rng=np.random.default_rng(52)):
+    # given samples with a gap, which come in parts
+    time = np.concatenate([np.arange(0.0, 3.3, 0.01), np.arange(7.1, 9.0, 0.013)]) + 1e9
+    imu = np.column_stack([time, rng.normal(size=(len(time), 6))])
+    found = None
+    for end in (1, 40, 41, 250, 331, len(imu)):
+        found = blocks_of(imu[:end], found)
+        # then they are, each to the last bit, what all samples up to then give
+        whole = blocks_of(imu[:end])
+        assert all(np.array_equal(part, same) for part, same in zip(found, whole))
+    block = (time >= time[0] + 1.0) & (time < time[0] + 2.0)
+    np.testing.assert_allclose(found.mean[1], imu[block, 1:].mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(found.scatter[1], imu[block, 1:].std(axis=0), atol=1e-12)

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from bisect import insort
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,16 @@ from ..memory import Event, Kind
 from ..prediction import UNKNOWN_YAW_SIGMA
 from ..trust.receiver import SHORTEST_PAIR
 from ..trust.scale import Scale, learn_changes, scale
-from .at_rest import SHORTEST_STILL, STILL_BLOCK, is_quiet, latest_standstill, note_standstill, tumbling_rate
+from .at_rest import (
+    SHORTEST_STILL,
+    STILL_BLOCK,
+    Blocks,
+    blocks_of,
+    is_quiet,
+    latest_standstill,
+    note_standstill,
+    tumbling_rate,
+)
 from .course import (
     FASTEST_REVERSE,
     LONGEST_COURSE_TIME,
@@ -57,6 +67,7 @@ class Alignment:
         self.contradicted = False  # whether the inputs contradict the parameters, so that waiting does not help
         self._imu = np.empty((1024, 13))  # time, body-axis f and w, raw f and w
         self._count = 0
+        self._blocks: Blocks | None = None  # of the samples up to the latest fix
         self._orientation: np.ndarray | None = None
         #: the first magnetometer, which may give the heading
         self._magnetometer = next((one for number, one in config.inputs.items() if one.kind == Kind.MAGNETIC
@@ -142,8 +153,7 @@ class Alignment:
         self._forget(time - LONGEST_KEPT)
         variance = float(0.5 * (covariance[0, 0] + covariance[1, 1]))
         self._learn_noise(time, latitude, longitude, height, variance)
-        self._fixes.append((time, latitude, longitude, variance, height, covariance))
-        self._fixes.sort(key=lambda fix: fix[0])
+        insort(self._fixes, (time, latitude, longitude, variance, height, covariance), key=lambda fix: fix[0])
         ahead = time - self._samples[-1, 0]
         self.contradicted = ahead > self.config.ahead
         if self.contradicted:
@@ -179,7 +189,8 @@ class Alignment:
         time, latitude, longitude, _, height, r = self._fixes[-1]
         r = self._realised * r
         positions, imu = self._positions(), self._samples
-        still = latest_standstill(imu[imu[:, 0] > imu[-1, 0] - RECENT], positions, self.config)
+        recent = imu[imu[:, 0] > imu[-1, 0] - RECENT]
+        still = latest_standstill(recent, blocks_of(recent), positions, self.config)
         speed = STANDING_SIGMA
         if still is None or imu[-1, 0] - still.end > 2 * STILL_BLOCK:
             before, now = positions[-2:]
@@ -199,6 +210,7 @@ class Alignment:
         if first > self._count // 2:
             self._imu[:self._count - first] = self._imu[first:self._count]
             self._count -= first
+            self._blocks = None
         while self._fixes and self._fixes[0][0] < before:
             self._fixes.pop(0)
         self._fields = [field for field in self._fields if field[0] >= before]
@@ -255,7 +267,14 @@ class Alignment:
             third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2, OVERLAP)
 
     def _standstill(self, positions) -> Standstill | None:
-        return latest_standstill(self._samples, positions, self.config)
+        return latest_standstill(self._samples, self._in_blocks(), positions, self.config)
+
+    def _in_blocks(self) -> Blocks:
+        """The samples in blocks."""
+        known = 0 if self._blocks is None else self._blocks.starts[-1] + self._blocks.length[-1]
+        if known < self._count:
+            self._blocks = blocks_of(self._samples, self._blocks)
+        return self._blocks
 
     def _lasts(self, standstill: Standstill | None) -> bool:
         """Whether there is a standstill that has not ended."""
@@ -312,7 +331,7 @@ class Alignment:
     def _check_mounting(self, positions) -> None:
         """Raises Contradicted where standstill or driving off contradict the configured unit or mounting."""
         topic = self.config.imu.topic
-        rate = tumbling_rate(self._samples, positions, self.config)
+        rate = tumbling_rate(self._samples, self._in_blocks(), positions, self.config)
         if rate:
             raise Contradicted(f'a possible turn rate on {topic}: angular_velocity is {rate:.3f} rad/s at rest, '
                                'about an axis about which no vehicle turns; if the driver delivers deg/s, set '

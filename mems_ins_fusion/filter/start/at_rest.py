@@ -5,6 +5,7 @@ The running filter has a detector of its own, which adapts while it runs: trust/
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,12 +40,39 @@ MEDIAN_SIGMA = math.sqrt(math.pi / 2)  # standard deviation of a median over tha
 GRAVITY_TOLERANCE = 0.1
 
 
-def latest_standstill(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) -> Standstill | None:
+class Blocks(NamedTuple):
+    """Samples in blocks of STILL_BLOCK; specific force and angular rate in body axes."""
+
+    mean: np.ndarray  # (k, 6)
+    scatter: np.ndarray  # (k, 6), standard deviations
+    starts: np.ndarray  # (k,), index of the first sample
+    length: np.ndarray  # (k,), number of samples
+
+
+def blocks_of(imu: np.ndarray, earlier: Blocks | None = None) -> Blocks:
+    """The blocks of samples (n, 7 or more): time, specific force and angular rate in body axes.
+
+    earlier: those of the first of these samples. All but the last of them are complete and are not computed again.
+    """
+    complete = 0 if earlier is None else len(earlier.starts) - 1
+    first = earlier.starts[complete] if complete else 0
+    rest = imu[first:]
+    block = np.floor((rest[:, 0] - imu[0, 0]) / STILL_BLOCK).astype(np.int64)
+    starts = np.flatnonzero(np.diff(block, prepend=-1))
+    length = np.diff(np.append(starts, len(rest)))
+    mean = np.add.reduceat(rest[:, 1:7], starts) / length[:, None]
+    squares = np.add.reduceat((rest[:, 1:7] - np.repeat(mean, length, axis=0)) ** 2, starts)
+    found = Blocks(mean, np.sqrt(squares / length[:, None]), first + starts, length)
+    return Blocks(*(np.concatenate([old[:complete], new]) for old, new in zip(earlier, found))) if complete else found
+
+
+def latest_standstill(imu: np.ndarray, blocks: Blocks, positions: np.ndarray, config: FilterConfig) -> (
+        Standstill | None):
     """The latest period of at least SHORTEST_STILL in which the sensors are quiet and the fixes do not move.
 
     imu (n, 7 or more): time, specific force and angular rate in body axes. positions (k, 4): time, north, east, sigma.
     """
-    mean, scatter, starts, length = _blocks(imu)
+    mean, scatter, starts, length = blocks
     quiet = ((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration)
              & (scatter[:, 3:].max(axis=1) < config.vehicle.still_rate) & (length > 2))
     ends = np.append(starts[1:], len(imu))
@@ -63,7 +91,7 @@ def latest_standstill(imu: np.ndarray, positions: np.ndarray, config: FilterConf
 
 def is_quiet(imu: np.ndarray, config: FilterConfig) -> bool:
     """Whether the sensors are quiet and steady throughout `imu` (n, 7 or more), so that the velocity is constant."""
-    mean, scatter, _, length = _blocks(imu)
+    mean, scatter, _, length = blocks_of(imu)
     mean, scatter = mean[length > 2], scatter[length > 2]
     if not len(mean):
         return False
@@ -72,10 +100,10 @@ def is_quiet(imu: np.ndarray, config: FilterConfig) -> bool:
             and scatter[:, 3:].max() < config.vehicle.still_rate and steady.stop - steady.start == len(mean))
 
 
-def tumbling_rate(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) -> float:
+def tumbling_rate(imu: np.ndarray, blocks: Blocks, positions: np.ndarray, config: FilterConfig) -> float:
     """The larger of roll rate and pitch rate, rad/s, while the accelerometers are quiet and the fixes do not move; 0
     where it is small. No vehicle rolls or pitches for seconds, so a unit or an axis is wrong."""
-    mean, scatter, starts, length = _blocks(imu)
+    mean, scatter, starts, length = blocks
     ends = np.append(starts[1:], len(imu))
     for first, last in runs((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration) & (length > 2)):
         begin, end = imu[starts[first], 0], imu[ends[last - 1] - 1, 0]
@@ -94,16 +122,6 @@ def _swings(rate: np.ndarray) -> bool:
     """Whether the angular rate (k, 3) of blocks oscillates, as on a boat at anchor, rather than being a bias."""
     away = np.abs(rate - np.median(rate, axis=0)).max(axis=1)
     return len(rate) >= FEWEST_BLOCKS and np.mean(away < STEADY_RATE) < 0.5
-
-
-def _blocks(imu):
-    """Samples in blocks of STILL_BLOCK: mean and standard deviation (k, 6), first index and number of samples (k,)."""
-    block = np.floor((imu[:, 0] - imu[0, 0]) / STILL_BLOCK).astype(np.int64)
-    starts = np.flatnonzero(np.diff(block, prepend=-1))
-    length = np.diff(np.append(starts, len(imu)))
-    mean = np.add.reduceat(imu[:, 1:7], starts) / length[:, None]
-    squares = np.add.reduceat((imu[:, 1:7] - np.repeat(mean, length, axis=0)) ** 2, starts)
-    return mean, np.sqrt(squares / length[:, None]), starts, length
 
 
 def _longest_steady(mean: np.ndarray) -> slice:
