@@ -194,6 +194,18 @@ def test_a_turn_rate_tells_its_clock_in_either_sense(sense):
     assert estimate_turn_offset(made.imu, replace(twist, twist=0.0 * twist.twist), np.eye(3)) is None
 
 
+def test_a_low_pass_is_searched_only_where_the_turn_rate_does_not_agree_enough_without_one():
+    # given an odometry through a low pass of 1.5 s
+    made = simulate_recording(simulate_drive(300.0, 3, 50.0, standstill=20.0),
+                              SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.5),
+                              [(EFFECTS['twist_lag'], {'tau': 1.5})], seed=3, aiding=Aiding(twist_rate=10.0)).recording
+    alike, little, much = (estimate_turn_offset(made.imu, made.streams()['twist'], np.eye(3), enough)
+                           for enough in (0.9, 0.99, 1.0))
+    # then it is not searched where the correlation without one is enough, and else found
+    assert alike.low_pass is None and 0.9 < alike.correlation < 0.99 < little.correlation
+    assert little == much and much.low_pass.tau == pytest.approx(1.5, abs=0.05)
+
+
 @pytest.mark.parametrize('tau, late, rate', [(0.6, 0.2, 10.0), (1.0, -0.1, 10.0), (0.0, 0.15, 10.0), (0.6, 0.2, 2.0)])
 def test_a_heading_tells_its_low_pass_beside_its_clock(tau, late, rate):
     # given a heading through a low pass, stamped late besides

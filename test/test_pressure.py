@@ -24,13 +24,14 @@ from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.simulation import manoeuvres
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
 
 
-def made(seed=5, duration=240.0, rate=50.0, vertical=4.0, effects=(), **errors):
+def made(seed=5, duration=240.0, rate=50.0, vertical=4.0, effects=(), deck=manoeuvres.CITY, **errors):
     """A hilly drive with a barometer of 10 Hz, and fixes whose heights are poor."""
-    drive = simulate_drive(duration, seed, rate, standstill=10.0, hills=True)
+    drive = simulate_drive(duration, seed, rate, standstill=10.0, hills=True, manoeuvres=deck)
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     return simulate_recording(drive, sensors, GnssNoise(1.5, 1.0, vertical_sigma=vertical), effects, seed=seed,
                               aiding=Aiding(pressure_rate=10.0, **errors)).recording
@@ -116,6 +117,23 @@ def test_the_flow_of_the_air_is_told_from_a_climb(share, tmp_path):
     said = [f for f in check_setup(recording, table.check({**values, 'pressure.dynamic': -share}))
             if 'dynamic pressure' in f.message]
     assert [f.severity for f in said] == ['warning' if share else 'info']
+
+
+@pytest.mark.parametrize('vertical', [0.03, 1.0])
+def test_of_a_slow_robot_no_share_of_the_dynamic_pressure_is_told(vertical, tmp_path, monkeypatch):
+    # given a robot of 1 m/s, whose whole dynamic pressure is 5 cm of height, and half of it missing
+    monkeypatch.setattr(manoeuvres, 'ROBOT_SPEED', 1.0)
+    recording = made(58701, vertical=vertical, effects=[(EFFECTS['pressure_dynamic'], {'share': -0.5})],
+                     deck=manoeuvres.SLOW)
+    # then what is known before a recording is more than it shows
+    seen = estimate_dynamic_pressure(recording.others['pressure'], recording.gnss)
+    assert seen.sigma > table.defaults()['pressure.dynamic_sigma']
+    # and neither checker nor configure tells a number
+    said = check_setup(recording, table.check({'pressure_topic': '/pressure'}))
+    assert not [f for f in said if 'dynamic pressure' in f.message]
+    write_recording(recording, tmp_path / 'bag')
+    found = configure([tmp_path / 'bag']).values
+    assert found['pressure_topic'] and 'pressure.dynamic' not in found
 
 
 def test_a_window_that_opens_is_not_taken_for_a_climb():

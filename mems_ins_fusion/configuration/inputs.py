@@ -30,6 +30,7 @@ from mems_ins_fusion.filter.measurements.base import Measurement
 from mems_ins_fusion.filter.measurements.registry import INERTIAL, TYPES
 from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
 from mems_ins_fusion.navigation.frames import near
+from mems_ins_fusion.parameters.table import ALL
 from mems_ins_fusion.recordings.aiding import (
     check_heading,
     check_velocity,
@@ -62,6 +63,9 @@ _HEADING_TURNS = 0.5  # the same for the derivative of a heading, which is noisi
 # with less they are the same receiver
 _IN_COMMON = 0.7
 LEAST_APART = 0.1  # m, smallest distance of two antennas: the phase centres of one antenna differ by less
+#: share of the dynamic pressure that is known without a recording, as its standard deviation: one with a larger sigma
+#: tells nothing
+_SHARE_KNOWN = ALL['pressure.dynamic_sigma'].default
 _ARM_KNOWN = 0.3  # m, largest sigma of the place of a second antenna that is used, or the noise of its fixes
 
 
@@ -169,7 +173,7 @@ def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
                        else 'neither its name tells what it is nor fixes, of which too few move fast enough')
     why = 'it goes with the speed of the fixes' if goes_forwards else (
         'by its name: too few fixes move fast enough to compare it with, its unit is taken to be m/s')
-    if 'twist' in read and rotation is not None and _turning(imu, read['twist'], rotation) is not None:
+    if 'twist' in read and rotation is not None and _turns_as(imu, read['twist'], rotation):
         kind, why = 'twist', f'{why}, its turn rate with the gyroscopes'
     else:
         kind = 'speed'
@@ -182,7 +186,7 @@ def _pose(topic, displacements, imu, fixes, rotation):
     factor = speed_factor(forwards(displacements), fixes)
     if factor is None or not math.isfinite(factor):
         return LeftOut(topic, 'the way between its poses does not go with the speed of the fixes')
-    if rotation is None or _turning(imu, displacements, rotation) is None:
+    if rotation is None or not _turns_as(imu, displacements, rotation):
         return LeftOut(topic, 'the turns between its poses are not shown to be those of the gyroscopes')
     return InputShown(topic, TYPES['pose'], 'it has no twist; the way between its poses goes with the speed of the '
                       'fixes, their turns with the gyroscopes', factor)
@@ -251,10 +255,12 @@ def axes_of(samples) -> OdometryAxes | None:
 
 
 def dynamic_of(pressures: Pressures, factor: float, fixes: Fixes | None) -> DynamicPressure | None:
-    """Which share of the dynamic pressure `pressures` times `factor`, Pa, have; None without fixes that show it."""
+    """Which share of the dynamic pressure `pressures` times `factor`, Pa, have; None without fixes that show it, and of
+    a vehicle too slow for it: at 1 m/s the whole dynamic pressure is 5 cm of height."""
     if fixes is None:
         return None
-    return estimate_dynamic_pressure(replace(pressures, pressure=factor * pressures.pressure), fixes)
+    shown = estimate_dynamic_pressure(replace(pressures, pressure=factor * pressures.pressure), fixes)
+    return shown if shown is not None and shown.sigma < _SHARE_KNOWN else None
 
 
 class Clock(NamedTuple):
@@ -290,6 +296,12 @@ def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, rotation:
         shown = [offset, _turning(imu, samples, rotation) if kind != 'speed' else None]
     lags = [(one.lag, one.lag_sigma) for one in shown if one is not None and one.lag_sigma < SHOWN]
     return Clock(min(lags, key=lambda lag: lag[1], default=None), left, low_pass)
+
+
+def _turns_as(imu, twists, rotation) -> bool:
+    """Whether the turn rate is correlated with that of the gyroscopes, with either sign."""
+    turn = estimate_turn_offset(imu, twists, rotation, enough=_TURNING)
+    return turn is not None and abs(turn.correlation) > _TURNING
 
 
 def _turning(imu, twists, rotation, least=_TURNING) -> TurnOffset | None:

@@ -40,7 +40,8 @@ _DENSE = 0.25
 @dataclass(frozen=True)
 class TurnOffset:
     """lag, lag_sigma: s, by which the stamps are late, with the part that `low_pass` makes. correlation: with the
-    gyroscopes, negative if its sign is wrong. low_pass: None where the samples are too rare for it."""
+    gyroscopes, negative if its sign is wrong. low_pass: None where none is searched, or the samples are too rare.
+    """
 
     lag: float
     lag_sigma: float
@@ -48,10 +49,12 @@ class TurnOffset:
     low_pass: LowPass | None = None
 
 
-def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray) -> TurnOffset | None:
+def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray, enough: float = 1.0
+                         ) -> TurnOffset | None:
     """Estimate from `imu` (SI units) and the turn rate of `twists`; None with too few of either.
 
-    rotation: (3, 3) from sensor axes to base_link.
+    rotation: (3, 3) from sensor axes to base_link. enough: no low pass is searched where the correlation without one is
+    larger (absolute value): the search takes twice the time of all else.
     """
     good = in_time_order(twists.stamp, np.isfinite(twists.twist[:, 2]))
     if len(good) < _FEWEST or len(imu) < _FEWEST:
@@ -64,19 +67,19 @@ def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray) 
     time, turn = time[inside], _mean(time, integral(time, turn), time[inside])
     if len(time) < _FEWEST or turn.std() < _LEAST:
         return None
-    blocks = shares(len(time))
+    first = np.searchsorted(shares(len(time)), np.arange(BLOCKS))
 
     def searched(lags, tau):
         """Offsets and correlations (1 + BLOCKS,) of the whole, and with each block left out."""
         smoothed = through_low_pass(inertial.time, angle, tau)
         # (lags, blocks, 6) sums of 1, w, turn, w w, w turn, turn turn
-        sums = np.array([_sums(_mean(inertial.time, smoothed, time - lag), turn, blocks) for lag in lags])
+        sums = np.array([_sums(_mean(inertial.time, smoothed, time - lag), turn, first) for lag in lags])
         whole = sums.sum(axis=1)
         return np.array([_best(lags, whole), *(_best(lags, whole - sums[:, block]) for block in range(BLOCKS))]).T
 
     grid = np.arange(-LARGEST, LARGEST + 0.5 * _STEP, _STEP)
     lag, correlation = searched(grid, 0.0)
-    if np.median(np.diff(time)) > _DENSE:
+    if np.median(np.diff(time)) > _DENSE or abs(correlation[0]) > enough:
         return TurnOffset(float(lag[0]), math.hypot(float(jackknife(lag[1:])), FLOOR), float(correlation[0]))
     found = [(lag, correlation), *(searched(grid[np.abs(grid + tau - lag[0]) <= _ABOUT], tau)
                                    for tau in _LOW_PASSES[1:] if lag[0] - tau > -LARGEST)]
@@ -114,9 +117,10 @@ def _mean(time, integrated, at):
     return (np.interp(at + half, time, integrated) - np.interp(at - half, time, integrated)) / _SMOOTHED
 
 
-def _sums(rate, turn, blocks):
-    products = np.column_stack([np.ones(len(turn)), rate, turn, rate * rate, rate * turn, turn * turn])
-    return np.array([np.bincount(blocks, column, BLOCKS) for column in products.T]).T
+def _sums(rate, turn, first):
+    """(blocks, 6) sums over blocks, each of which begins at one of `first` and ends at the next."""
+    products = np.array([np.ones(len(turn)), rate, turn, rate * rate, rate * turn, turn * turn])
+    return np.add.reduceat(products, first, axis=1).T
 
 
 def _best(lags, sums) -> tuple[float, float]:
