@@ -219,6 +219,15 @@ def test_live_and_replay_give_the_same_bits_with_corrections(drive):
     assert np.abs(plain.latitude[-1] - result.latitude[-1]) > 1e-10
 
 
+def test_what_looks_the_same_is_a_sentence_and_goes_both_ways_for_offset_and_low_pass():
+    # given the words that stand alone behind a finding
+    words = {name: effect.looks_the_same for name, effect in EFFECTS.items() if effect.looks_the_same}
+    # then each says that it looks alike, and an input's time offset and low pass name each other
+    assert all(' look' in said for said in words.values())
+    for name in ('speed', 'velocity', 'heading', 'twist', 'magnetometer', 'pressure'):
+        assert 'low pass' in words[f'{name}_time_offset'] and 'stamps' in words[f'{name}_lag']
+
+
 def test_effects_that_cannot_show_say_why(drive):
     recording, values = recorded(drive), table.check(PAPER)
     hidden = {name: effect.hidden(values, recording) for name, effect in EFFECTS.items()}

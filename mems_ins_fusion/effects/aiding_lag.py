@@ -28,7 +28,7 @@ class AidingLag(Effect):
         self.of, self.known, self.delayed, self.name = of, known, delayed, f'{of}_lag'
         self.in_words = f'the {of} is smoothed'
         self.to_check = f'the filter of the sensor, the driver or the bus that the {of} comes through'
-        self.looks_the_same = 'stamps that are late by its time constant: only jerks tell them apart'
+        self.looks_the_same = 'stamps that are late by its time constant look nearly the same: only jerks differ'
 
     @property
     def traced(self):

@@ -16,6 +16,7 @@ class AidingTimeOffset(Effect):
     sizes = {'time_offset': ('stamped {} too late', 'stamped {} too early')}
     largest = {'time_offset': 2.0}
     larger_is = 'stamps of another clock'
+    looks_the_same = 'a low pass in the sensor, its driver or the bus, late by its time constant, looks nearly the same'
     parameters = (EffectParameter('time_offset', 's', 0.1),)
 
     def __init__(self, of: str, signature: str, in_words: str, to_check: str):

@@ -15,7 +15,8 @@ class OdometryYaw(Effect):
     signature = 'a sideways velocity in proportion to the speed, also straight on: it turns the heading'
     in_words = 'the odometry is mounted at an angle'
     to_check = 'the direction in which the lidar or camera looks, and the frame in which its driver says the twist'
-    looks_the_same = 'an IMU that is mounted at the opposite angle, where nothing else shows where forward is'
+    looks_the_same = ('an IMU that is mounted at the opposite angle looks the same where nothing else shows where '
+                      'forward is')
     sizes = {'yaw': ('turned to the left by {}', 'turned to the right by {}')}
 
     def __init__(self, of: str):

@@ -14,7 +14,7 @@ class PressureDynamic(Effect):
     signature = 'heights that fall or rise with the square of the speed: with the pitch of the body, an acceleration'
     in_words = 'the barometer measures the wind of the drive'
     to_check = 'where the barometer is: open windows and fans draw air out, a duct in the front holds it up'
-    looks_the_same = 'a road that descends wherever the vehicle is fast'
+    looks_the_same = 'a road that descends wherever the vehicle is fast looks the same'
     largest = {'share': 1.5}
     larger_is = 'a wrong unit'
 
