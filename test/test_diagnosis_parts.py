@@ -24,6 +24,7 @@ from mems_ins_fusion.evaluation.comparison import compare, truth_of
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
+from mems_ins_fusion.reports.diagnosis import unexplained_text
 from mems_ins_fusion.reports.effect_words import size
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -261,3 +262,18 @@ def test_what_the_other_parts_do_not_support_is_not_held_against_a_part(sigmas, 
     # then it gains where they support it (5 % by chance: 1.96 sigma), and is left out where they do not
     assert proof.gain == pytest.approx(len(stamp) if supported else 0.0)
     assert all(x[1] == (0.1 if supported else 0.0) for x in proof.estimates)
+
+
+@pytest.mark.parametrize('found, added, said', [('velocity_time_offset', True, True),
+                                                ('velocity_time_offset', False, False),
+                                                ('speed_time_offset', True, False)])
+def test_what_stays_unexplained_may_be_a_low_pass_that_the_filter_has_no_model_of(found, added, said):
+    # given an error of the positions that goes with acceleration, beside a time offset of an input
+    rest = SimpleNamespace(where='position along the track', what='forward acceleration', rms=0.11, sigma=0.03,
+                           unit='m')
+    told = unexplained_text(SimpleNamespace(unexplained=True, rest=[rest],
+                                            findings=[SimpleNamespace(name=found, added=added)]))
+    # then the positions are not the only cause that is named, where the filter corrects the offset alone
+    assert 'position along the track that goes with forward acceleration (0.110 m RMS).' in told
+    assert told.endswith('may come from a low pass of the velocity, of which the filter corrects the time offset only.'
+                         ) == said

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
 
+#: what the time offset leaves of a low pass of an input that has no `NAME.lag`
+_NOT_MODELLED = 'a low pass of the {}, of which the filter corrects the time offset only'
 #: between the names of several inputs
 AND = '_and_'
 
@@ -19,9 +21,9 @@ class AidingTimeOffset(Effect):
     looks_the_same = 'a low pass in the sensor, its driver or the bus, late by its time constant, looks nearly the same'
     parameters = (EffectParameter('time_offset', 's', 0.1),)
 
-    def __init__(self, of: str, signature: str, in_words: str, to_check: str):
+    def __init__(self, of: str, signature: str, in_words: str, to_check: str, leaves: str = ''):
         self.of, self.name = of, f'{of}_time_offset'
-        self.signature, self.in_words, self.to_check = signature, in_words, to_check
+        self.signature, self.in_words, self.to_check, self.leaves = signature, in_words, to_check, leaves
 
     def measured_times(self, name, time, values):
         return time - values['time_offset'] if name == self.of else time
@@ -80,16 +82,19 @@ TIME_OFFSETS = (
                      'and over how long it averages'),
     AidingTimeOffset('velocity', 'innovations along and across the track in proportion to the acceleration',
                      "the stamps of the receiver's velocity are off against those of its fixes",
-                     'whether the receiver smooths its velocity, and what its driver stamps'),
+                     'whether the receiver smooths its velocity, and what its driver stamps',
+                     _NOT_MODELLED.format('velocity')),
     AidingTimeOffset('twist', 'innovations along the track at each change of speed, in proportion to the acceleration',
                      'the odometry comes late',
                      'what the driver of the odometry stamps, and over how long it computes'),
     AidingTimeOffset('heading', 'a heading that is off in proportion to the turn rate', 'the heading comes late',
                      'whether the compass or the receiver smooths its heading, and what its driver stamps'),
     AidingTimeOffset('magnetometer', 'a magnetic field that is off in proportion to the turn rate',
-                     'the magnetometer comes late', 'whether the magnetometer averages, and what its driver stamps'),
+                     'the magnetometer comes late', 'whether the magnetometer averages, and what its driver stamps',
+                     _NOT_MODELLED.format('magnetometer')),
     AidingTimeOffset('pressure', 'heights that are off in proportion to the climb', 'the pressure comes late',
-                     'whether the pressure sensor averages, or air comes to it slowly, and what its driver stamps'),
+                     'whether the pressure sensor averages, or air comes to it slowly, and what its driver stamps',
+                     _NOT_MODELLED.format('pressure')),
 )
 
 

@@ -64,6 +64,8 @@ class Effect:
     to_check: str = ''
     #: and which other effects a single drive may not distinguish from it
     looks_the_same: str = ''
+    #: what of the same cause its correction leaves, as the filter has no model of that
+    leaves: str = ''
     #: the size of a parameter in words, with {} for the number: for a positive value, and for a negative one
     sizes: Mapping[str, tuple[str, str]] = {}
     #: the largest plausible size of each parameter, in its unit, and what the cause of a larger one is

@@ -23,6 +23,7 @@ from . import html
 from .answer import Answer, topics_of
 from .charts import charts
 from .colours import MODEL_NAMES
+from .effect_words import leaves
 from .layers import diagnosed_truth, diagnosis_layers, middle
 from .series import diagnosis_charts
 from .track import script, track
@@ -274,9 +275,13 @@ def unexplained_text(d: Diagnosis) -> str:
     if not d.rest:
         seen = 'change sign from fix to fix' if d.detections['search'].alternates else (
             'still last from one fix to the next')
-        return f'{text}: errors {seen}, and go with nothing that was recorded.'
-    return f'{text}. What is left looks like an error of the ' + ', or of the '.join(
-        f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
+        text = f'{text}: errors {seen}, and go with nothing that was recorded.'
+    else:
+        seen = ', or of the '.join(f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)'
+                                   for r in d.rest[:3])
+        text = f'{text}. What is left looks like an error of the {seen}.'
+    causes = [leaves(f.name) for f in d.findings if f.added and leaves(f.name)]
+    return f'{text} It may come from {", or ".join(causes)}.' if causes else text
 
 
 def cost(d: Diagnosis) -> list[str]:

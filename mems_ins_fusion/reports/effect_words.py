@@ -25,6 +25,11 @@ def looks_the_same(name: str) -> str:
     return effect_called(name).looks_the_same
 
 
+def leaves(name: str) -> str:
+    """What a correction of the effect `name` may leave of its cause; empty where the filter has a model of all."""
+    return effect_called(name).leaves
+
+
 def size(name: str, parameter: str, estimate: Estimate) -> str:
     """The size of a parameter of the effect `name` in words, angles in degrees and ratios in percent."""
     words = effect_called(name).sizes.get(parameter)
