@@ -352,6 +352,9 @@ def _final_findings(known: Known, hidden, corrected: dict, trials: TrialRuns) ->
             effect = effects[finding.name]
             theta = {p.name: 0.0 for p in (*effect.parameters, *effect.traced)}
             theta |= {n: e.value for n, e in finding.parameters.items()}
+            # of a parameter that is not told, too, as several values explain the recording equally well
+            theta |= {u.parameter: u.meant(x, 0.0)[0] for u, x in zip(model.unknowns, model.x)
+                      if u.effect == finding.name and not u.noise}
             moved = effect.adjusted(given, theta)
             changes = {n: corrected[n] for n in given if moved[n] != given[n]}
             own = [i for i, u in enumerate(model.unknowns) if u.effect == finding.name and not u.noise]
