@@ -8,8 +8,8 @@ not diagnosed again. RECORDING: only these, by the first letters of `recording, 
 simulated drive, from 300 on with receivers of 0.2 to 10 Hz, some with gaps, as in `studies/configure.py --any-fixes`.
 settings: with the defaults, and with what was before them. ways: from nothing but the topics, from the file that
 `configure` writes, and from one by hand; of the recordings and of simulated drives, whose truth is known. Are the time
-offsets, arms, mountings, scales and coloured noise that the three tell alike within their sigmas, and does configure's file end worse
-than by hand, by `compare`?
+offsets, arms, mountings, scales and coloured noise that the three tell alike within their sigmas, and does configure's
+file end worse than by hand, by `compare`?
 """
 from __future__ import annotations
 
