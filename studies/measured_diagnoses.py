@@ -8,8 +8,8 @@ not diagnosed again. RECORDING: only these, by the first letters of `recording, 
 simulated drive, from 300 on with receivers of 0.2 to 10 Hz, some with gaps, as in `studies/configure.py --any-fixes`.
 settings: with the defaults, and with what was before them. ways: from nothing but the topics, from the file that
 `configure` writes, and from one by hand; of the recordings and of simulated drives, whose truth is known. Are the time
-offsets, arms, mountings and scales that the three tell alike within their sigmas, and does configure's file end worse
-than by hand, by `compare`?
+offsets, arms, mountings, scales and coloured noise that the three tell alike within their sigmas, and does configure's
+file end worse than by hand, by `compare`?
 """
 from __future__ import annotations
 
@@ -123,7 +123,8 @@ QUANTITIES = {'offset': ('gnss_time_offset', 'time_offset'),
               'arm up': ('gnss_lever_arm', 'z'),
               'roll': ('mounting_rotation', 'roll'), 'pitch': ('mounting_rotation', 'pitch'),
               'yaw': ('mounting_rotation', 'yaw'),
-              'gyroscope scale': ('gyroscope_scale', 'z'), 'accelerometer scale': ('accelerometer_scale', 'x')}
+              'gyroscope scale': ('gyroscope_scale', 'z'), 'accelerometer scale': ('accelerometer_scale', 'x'),
+              'coloured noise': ('gnss_coloured_noise', 'sigma')}
 ARM, MOUNTING = ('arm forward', 'arm left', 'arm up'), ('roll', 'pitch', 'yaw')
 
 
@@ -256,11 +257,12 @@ def _which(change: dict) -> str:
     return f'{change["duration_s"]:g} s' if change['duration_s'] else f'fixes each {change["every_s"]:g} s'
 
 
-def away(values: dict, offset: float, arm, rotation: np.ndarray, scales=(0.0, 0.0)) -> dict[str, float]:
+def away(values: dict, offset: float, arm, rotation: np.ndarray, scales=(0.0, 0.0), coloured=0.0) -> dict[str, float]:
     """By how much parameters differ from these values, by QUANTITIES."""
     turned = deviation(rotation_from_rpy(*values['imu.mounting_rpy']), rotation)
     return dict(zip(QUANTITIES, (values['gnss.time_offset'] - offset, *np.subtract(values['gnss.lever_arm'], arm),
-                                 *turned, *np.subtract(scales_of(values), scales)), strict=True))
+                                 *turned, *np.subtract(scales_of(values), scales),
+                                 values['gnss.coloured_noise.sigma'] - coloured), strict=True))
 
 
 def scales_of(values: dict) -> tuple[float, float]:
@@ -276,7 +278,8 @@ def agree(found: dict[str, Way]) -> str:
             if a.file.parent == b.file.parent:  # one diagnosis
                 continue
             between = away(a.values, b.values['gnss.time_offset'], b.values['gnss.lever_arm'],
-                           rotation_from_rpy(*b.values['imu.mounting_rpy']), scales_of(b.values))
+                           rotation_from_rpy(*b.values['imu.mounting_rpy']), scales_of(b.values),
+                           b.values['gnss.coloured_noise.sigma'])
             for name in a.sigmas.keys() & b.sigmas.keys():
                 sigmas = abs(between[name]) / math.hypot(a.sigmas[name], b.sigmas[name])
                 apart[name] = max(sigmas, apart.get(name, 0.0))

@@ -8,15 +8,23 @@ import numpy as np
 import pytest
 from filter_support import random_covariance
 from scipy.signal import lfilter
-from scipy.stats import chi2
+from scipy.stats import chi2, ttest_1samp
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
-from mems_ins_fusion.diagnosis.conclusion import PREDICTS_WORSE, Correction, Tried, _as_measured, _chosen, _switched
+from mems_ins_fusion.diagnosis.conclusion import (
+    PREDICTS_WORSE,
+    Correction,
+    Tried,
+    _as_measured,
+    _chosen,
+    _noise_remarks,
+    _switched,
+)
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
 from mems_ins_fusion.diagnosis.fit import Scores, _scores, fit
 from mems_ins_fusion.diagnosis.folds import parts
-from mems_ins_fusion.diagnosis.held_out import HeldOut
+from mems_ins_fusion.diagnosis.held_out import HeldOut, certainly_better
 from mems_ins_fusion.diagnosis.judgement import (
     ONE_SIDED,
     compared,
@@ -844,3 +852,50 @@ def test_a_jump_of_the_innovations_is_no_slope(at):
     # then the fit goes as far as it may, and is as sure as 200 fixes of a metre in two directions are
     assert model.x[0] == pytest.approx(min(at, 0.2), abs=0.1) and model.x[0] < at
     assert model.sigma()[0] == pytest.approx(1.0 / np.sqrt(400.0), rel=0.3)
+
+
+@pytest.mark.parametrize('name, bounds, factor, said', [
+    ('gyroscope.noise', (1 / 3, 10.0), 1 / 3, 'gyroscope.noise would have to be 0.33 times as large as configured, or'),
+    ('gyroscope.noise', (1 / 3, 10.0), 0.34, 'gyroscope.noise would have to be 0.34 times as large as configured, or'),
+    ('gnss.sigma', (1 / 3, 100.0), 1 / 3, 'gnss.sigma would have to be 0.33 times as large as configured, or smaller'),
+    ('gyroscope.noise', (1 / 3, 10.0), 0.4, None), ('gyroscope.noise', (1 / 3, 10.0), 9.0, None),
+    ('gyroscope.noise', (1 / 3, 10.0), 10.0, 'gyroscope.noise would have to be 10 times as large as configured to'),
+    ('gnss.sigma', (1 / 3, 100.0), 100.0, None), ('vehicle.non_holonomic_sigma', (1.0, 10.0), 1.0, None)])
+def test_a_noise_level_that_rests_on_a_bound_of_the_fit_is_said(name, bounds, factor, said):
+    # given a level that a fit keeps between bounds, and one that is no noise level
+    level = Unknown(name, None, 0.0, 0.05, 1.0, bounds=tuple(np.log(bounds)), noise=True)
+    size = Unknown('effect.size', None, 0.0, 0.1, 1.0)
+    model = SimpleNamespace(unknowns=[level, size], x=np.array([np.log(factor), 0.0]))
+    # then the user is told at which bound it is, if any
+    assert [text[:len(said or '')] for text in _noise_remarks(model, {})] == ([said] if said else [])
+
+
+@pytest.mark.parametrize('factor, said', [(0.1, 'or smaller still'), (0.316, None), (1.0, None), (10.0, 'no sensor')])
+def test_of_a_level_that_was_chosen_the_bounds_are_those_of_the_choice(factor, said):
+    # given a level at the lower bound of the fit, for which the user's filter asked for another factor
+    level = Unknown('gyroscope.noise', None, 0.0, 0.05, 1.0, bounds=(np.log(1 / 3), np.log(10.0)),
+                    noise=True)
+    model = SimpleNamespace(unknowns=[level], x=np.array([np.log(1 / 3)]))
+    # then what is said is of that factor
+    remarks = _noise_remarks(model, {'gyroscope.noise': factor})
+    assert len(remarks) == (1 if said else 0) and all(said in text for text in remarks)
+
+
+@pytest.mark.parametrize('gains, better', [
+    (np.full(300, 0.04), True), (np.full(300, 0.01), False),
+    (np.where(np.arange(300) < 30, 0.4, 0.0), False), (np.where(np.arange(300) % 60 < 30, 0.2, -0.12), False)])
+def test_a_fit_is_better_for_certain_only_if_it_is_in_most_of_the_drive(gains, better):
+    # given two fits of ten blocks of 30 s, the likelihoods of whose innovations differ by so much at each fix
+    rng = np.random.default_rng(11)
+    gains = gains + 0.02 * rng.standard_normal(300)
+    z = rng.standard_normal((300, 2))
+    problem = SimpleNamespace(stamp=np.arange(300) * 1_000_000_000, mask=np.ones(300, dtype=bool), each=(None,))
+
+    def model(more):
+        unit = Residual(z, np.tile([1.0, 0.0, 1.0], (300, 1)), np.zeros(300), np.zeros((300, 2)))
+        return SimpleNamespace(problem=problem, residual=replace(unit, missing=more))
+    # then a sum that a few blocks make, or whose sign changes from block to block, is no certain one
+    sums = gains.reshape(10, 30).sum(axis=1)
+    expected = sums.sum() > 3.3 and ttest_1samp(sums, 0.0, alternative='greater').pvalue < 0.01
+    assert certainly_better(model(gains), model(np.zeros(300)), 3.3) == expected == better
+    assert not certainly_better(model(np.zeros(300)), model(gains), 3.3)

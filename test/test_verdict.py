@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.evaluation.intervals import interval_of_share, of_mean, p_of_so_few, paired
 from mems_ins_fusion.evaluation.verdict import (
     BETTER,
@@ -295,7 +296,6 @@ def test_who_keeps_the_parameters_is_told_to_drive_on_with_them():
 def test_what_is_left_alone_is_told_with_what_it_may_be_instead():
     from types import SimpleNamespace
 
-    from mems_ins_fusion.diagnosis.estimate import Estimate
     from mems_ins_fusion.reports.diagnosis_answer import tried_text
 
     one = SimpleNamespace(drives=[])
@@ -351,3 +351,27 @@ def test_each_parameter_that_is_changed_is_told_with_its_reason():
                      'drive is predicted best: 0.316 times as configured, [0.001].')
     assert switch.startswith('corrected.yaml sets imu.adapt_noise to false: It is no noise')
     assert switch.endswith('before: true.')
+
+
+@pytest.mark.parametrize('parameters, said', [
+    ({}, 'sigma: 2 to 4.7 m explain the recording equally well; tau: 9.3 to 50 s explain the recording equally well'),
+    ({'sigma': Estimate(2.0, 0.3, 'm')}, 'sigma 2.00 ± 0.30 m')])
+def test_of_an_effect_without_a_known_size_the_range_is_told(parameters, said):
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_answer import found_text
+
+    # given an effect that was added, none or one of whose parameters the recording determines, and another one
+    values = {'gnss.coloured_noise.sigma': 0.0, 'gnss.coloured_noise.tau': 60.0}
+    corrected = {'gnss.coloured_noise.sigma': 2.0, 'gnss.coloured_noise.tau': 9.3}
+    effect = SimpleNamespace(added=True, changes=corrected, name='gnss_coloured_noise', parameters=parameters, seen='',
+                             group=['gnss_coloured_noise'])
+    ranges = {'sigma': '2 to 4.7 m explain the recording equally well',
+              'tau': '9.3 to 50 s explain the recording equally well'}
+    d = SimpleNamespace(values=values, corrected=corrected, noise={}, findings=[effect], better=False, hidden={
+        'tilt': 'no slope', 'gnss_lever_arm.z': 'not determined by this recording',
+        **{f'gnss_coloured_noise.{name}': why for name, why in ranges.items() if name not in parameters}})
+    # then its line says how large it may be, and both values that are set
+    text = found_text(effect, d)
+    assert text.startswith(f'gnss_coloured_noise: {said}: the receiver')
+    assert 'gnss.coloured_noise.sigma to 2.0 (it was 0.0), gnss.coloured_noise.tau to 9.3 (it was 60.0)' in text

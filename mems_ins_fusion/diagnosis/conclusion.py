@@ -13,6 +13,7 @@ from .drives import Drives, part
 from .estimate import PLAIN, Estimate, widened
 from .exact import sigmas
 from .findings import Diagnosis, Finding
+from .fit import Model
 from .folds import parts, which_part
 from .held_out import HeldOut
 from .judgement import RUNS, compared, gain_proven, judged, objection_to_errors, predicts_worse
@@ -29,7 +30,7 @@ from .unexplained import GoesWith, goes_with
 TURNING = 0.03  # rad/s, smallest root mean square of the yaw rate with which a recording has enough turns
 SPEEDING = 0.15  # m/s^2, smallest root mean square of the acceleration with which it has enough changes of speed
 LONGEST_GAP = 30.0  # s, longest time without a fix that is not remarked on: such a part shows little
-#: share of LARGEST_FACTOR above which a fitted noise level counts as at this bound: a fit comes near it, not onto it
+#: ratio to a bound from which on a fitted noise level counts as at this bound: a fit comes near it, not onto it
 AT_BOUND = 0.95
 MOUNTING = 'mounting_rotation'
 #: why a finding is reported but not added
@@ -124,7 +125,7 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
         before=before, fitted=noise_only, after=after, comparison=comparison,
         rest=[rest for found in rests for rest in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
-        + _noise_remarks(explained | correction.factors)
+        + _noise_remarks(model, correction.factors)
         + [f'{_SWITCHED[name][now]}: '
            + ('errors are no larger' if name in trials.without_standstills else 'positions are predicted better')
            + f' with {name}: {str(now).lower()}.' for name, now in _switched(given, correction.values).items()])
@@ -351,6 +352,9 @@ def _final_findings(known: Known, hidden, corrected: dict, trials: TrialRuns) ->
             effect = effects[finding.name]
             theta = {p.name: 0.0 for p in (*effect.parameters, *effect.traced)}
             theta |= {n: e.value for n, e in finding.parameters.items()}
+            # of a parameter that is not told, too, as several values explain the recording equally well
+            theta |= {u.parameter: u.meant(x, 0.0)[0] for u, x in zip(model.unknowns, model.x)
+                      if u.effect == finding.name and not u.noise}
             moved = effect.adjusted(given, theta)
             changes = {n: corrected[n] for n in given if moved[n] != given[n]}
             own = [i for i, u in enumerate(model.unknowns) if u.effect == finding.name and not u.noise]
@@ -369,12 +373,29 @@ def _not_shown(known: Known, settings: Sequence[Finding]) -> dict[str, str]:
     return {name: why for name, why in {**known.hidden, **undetermined}.items() if name not in found}
 
 
-def _noise_remarks(factors: dict[str, float]) -> list[str]:
-    """Remarks on noise levels that are too high for any sensor: settings are wrong, or no effect explains the data."""
-    return [f'{name} would have to be {factor:.0f} times as large as configured to explain this drive: no sensor is so '
-            'much noisier than its settings, so this stands for something that is not in the library (vibration of the '
-            'mount, samples that repeat, a scale or an axis that is not what it says).'
-            for name, factor in factors.items() if name != 'gnss.sigma' and factor > AT_BOUND * LARGEST_FACTOR]
+def _noise_remarks(model: Model, chosen: dict[str, float]) -> list[str]:
+    """Remarks on noise levels that rest on a bound: of the fit, or where one was chosen for the user, of that choice.
+
+    At the upper one settings are wrong, or no effect explains the data. At the lower one the level is only known to be
+    no larger, and the sigmas of what is fitted beside it are those with that level. A level whose lower bound is its
+    setting (`ONLY_LARGER`) rests there on most drives.
+    """
+    fitted = [(u.name, float(np.exp(x)), *np.exp(u.bounds)) for u, x in zip(model.unknowns, model.x) if u.noise]
+    levels = [*(level for level in fitted if level[0] not in chosen),
+              *((name, factor, 1 / LARGEST_FACTOR, LARGEST_FACTOR) for name, factor in chosen.items())]
+    said = []
+    for name, factor, smallest, largest in levels:
+        if factor > AT_BOUND * largest and name != 'gnss.sigma':
+            said.append(
+                f'{name} would have to be {factor:.0f} times as large as configured to explain this drive: no sensor '
+                'is so much noisier than its settings, so this stands for something that is not in the library '
+                '(vibration of the mount, samples that repeat, a scale or an axis that is not what it says).')
+        if smallest < 1.0 and factor * AT_BOUND < smallest:
+            said.append(
+                f'{name} would have to be {factor:.2g} times as large as configured, or smaller still, to explain this '
+                'drive: that is the smallest that is tried, so how small it is does not show. A record at rest shows '
+                'it (configure).')
+    return said
 
 
 def _switched(given: dict, corrected: dict) -> dict[str, bool]:

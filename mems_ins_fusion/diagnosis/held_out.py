@@ -90,6 +90,16 @@ def gain_of(problem: Problem, before: Residual, after: Residual) -> HeldOut:
     return _of_gains(problem, gains, [])
 
 
+def certainly_better(one: Model, other: Model, gain: float) -> bool:
+    """Whether `one` explains the same data better than `other` does, by more than `gain` in log likelihood and for
+    certain: the difference is tested by its scatter over blocks of time (Q. H. Vuong, 1989), as innovations that follow
+    each other make its sum larger than it is worth."""
+    mask = one.problem.mask
+    gains = np.where(mask, np.nan_to_num(one.residual.log_likelihood() - other.residual.log_likelihood()), 0.0)
+    found = _of_gains(one.problem, gains, [])
+    return found.gain > gain and found.p < CERTAIN
+
+
 def _of_gains(problem: Problem | Drives, gains: np.ndarray, estimates: list[np.ndarray]) -> HeldOut:
     drives, first = {}, 0
     for drive in problem.each if len(problem.each) > 1 else ():

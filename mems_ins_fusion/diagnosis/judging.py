@@ -11,7 +11,7 @@ from .agreement import by_drive, contradicted, said
 from .estimate import PLAIN, Estimate, widened
 from .exact import sigmas
 from .fit import Model, fit, refined
-from .held_out import HeldOut, gain_of, held_out
+from .held_out import HeldOut, certainly_better, gain_of, held_out
 from .judgement import compared, objection
 from .known import Known
 from .measured import Measured
@@ -192,7 +192,7 @@ def _refined(known: Known, effect: Effect, trial: Model) -> tuple[Model, dict[st
         fits.append(fit(trial.problem, unknowns, np.append(trial.x, np.zeros(len(factors))), REFITTED))
     mask = trial.problem.mask
     best = max(fits, key=lambda m: m.likelihood(mask))
-    good = [m for m in fits if m.likelihood(mask) > best.likelihood(mask) - CLOSE]
+    good = [m for m in fits if not certainly_better(best, m, CLOSE)]
     hidden = {}
     for i in range(first, len(best.unknowns)):
         unknown = best.unknowns[i]

@@ -72,7 +72,7 @@ def not_usable(found: list[Checked], values: dict, bags: Sequence[str]) -> tuple
 def found_text(f: Finding, d: Diagnosis) -> str:
     """What was found: what it is, how sure, what corrected.yaml does about it, and what that gains."""
     also = f' {capital(looks_the_same(f.name))}.' if looks_the_same(f.name) and f.parameters else ''
-    return f'{f.name}: {_size(f)}: {what(f.name)}.{_group(f, d)}{also}{_change(f, d)}{_saves(f) if d.better else ""}'
+    return f'{f.name}: {_size(f, d)}: {what(f.name)}.{_group(f, d)}{also}{_change(f, d)}{_saves(f) if d.better else ""}'
 
 
 def settings_texts(d: Diagnosis) -> list[str]:
@@ -88,13 +88,15 @@ def _group(f: Finding, d: Diagnosis) -> str:
     return f' ({capital(this(d))} cannot tell it from: {"; ".join(others)}.)' if others else ''
 
 
-def _size(f: Finding) -> str:
-    """How large it is; where it was not fitted, what shows it."""
+def _size(f: Finding, d: Diagnosis) -> str:
+    """How large it is, or why that is not told; where it was not fitted, what shows it."""
     if 'mechanization' in f.changes:
         return 'as the attitude of the strapdown mechanization shows'
     sizes = ', '.join(size(f.name, name, estimate) for name, estimate in f.parameters.items())
     if not f.seen:
-        return sizes or 'its size is not determined'
+        why = '; '.join(f'{name.split(".")[1]}: {why}' for name, why in d.hidden.items()
+                        if name.startswith(f'{f.name}.'))
+        return sizes or why or 'its size is not determined'
     return f'{sizes}; {f.seen}' if f.name in WITH_SIZE else f.seen
 
 
