@@ -43,7 +43,7 @@ from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, TWIST_CO
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.results import MeasurementLog, columns, result
 from mems_ins_fusion.filter.start.initial import sensor_errors_of
-from mems_ins_fusion.filter.trust.force_noise import force_noise
+from mems_ins_fusion.filter.trust.force_noise import ASSUMED, ForceNoise, force_noise, learn_from_change
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
 from mems_ins_fusion.filter.trust.line import Line
 from mems_ins_fusion.filter.trust.new_start import start_anew
@@ -548,6 +548,24 @@ def test_accelerometers_that_are_as_configured_have_no_noise_beside_that():
     for scatter in (0.05, 1.0):
         _, memory, _, _ = Receiver(300.0, scatter).through(scatter, 'strapdown', **{'vehicle.learn_drift': True})
         assert force_noise(memory, state_at(memory, int(memory[Head.SAMPLES]))) == 0.0
+
+
+@pytest.mark.parametrize('density', [0.0, 0.4])
+def test_rare_fixes_show_whether_noise_that_was_found_is_still_there(density, rng=np.random.default_rng(7)):
+    # given noise of the accelerometers of 0.4 m^2/s^3, as a restart finds it, and fixes of 1.5 m each five
+    # seconds, whose second differences have the variance of that noise, or of none
+    share, scatter = 5.0**2 * 10.0 / 3.0, 6.0 * 1.5**2
+    _, memory, _, _ = Receiver(20.0).through(1.5, 'strapdown', **{'vehicle.learn_drift': True})
+    r = state_at(memory, int(memory[Head.SAMPLES]))
+    memory[r + ForceNoise.SCALE] = math.log(1.0 + 0.4 / ASSUMED)
+    learned = []
+    for k in range(200):
+        squared = 0.5 * np.sum(rng.normal(0.0, math.sqrt(scatter + density * share), 2) ** 2)
+        learn_from_change(memory, r, 10.0 * k, squared, share, scatter)
+        learned.append(force_noise(memory, r))
+    # then it is as found, or less than what fixes of that scatter hide
+    middle = np.median(learned[50:])
+    assert 0.5 * 0.4 < middle < 1.5 * 0.4 if density else middle < 0.25 * scatter / share, middle
 
 
 def test_what_fixes_claim_and_do_not_scatter_is_no_noise_of_the_accelerometers():

@@ -50,8 +50,11 @@ STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity at rest
 #: number of second differences of fixes that have to agree with the claimed noise before a course is looked for: noise
 #: above the claim looks like motion
 FEWEST_CONSISTENT = 3
-#: weight of such a second difference: each fix is in three of them
+#: weight of such a second difference in motion: each fix is in three of them
 OVERLAP = 0.5
+#: fixes on a line through which the next one is predicted at rest. What is off the line through all earlier ones has
+#: nothing in common with what was off before; six are nearly all, and old ones would show errors that last
+LINE_FIXES = 6
 #: s: a standstill that begins later than this after the first sample may follow a drive of which there are no samples
 SEEN_FROM_BEGIN = 2.0
 #: s after the first sample until which a saved heading is used: a vehicle not seen at rest by then has driven off
@@ -81,7 +84,7 @@ class Alignment:
         self._first: float | None = None  # time of the first sample
         self._saved: SavedState | None = None
         self._scale = np.zeros(Scale.CHANGING_SIZE)  # realised over claimed variance of the fixes
-        self._track: list[tuple] = []  # the latest three fixes that are SHORTEST_PAIR apart
+        self._track: list[tuple] = []  # the latest fixes that are SHORTEST_PAIR apart: LINE_FIXES at rest, else two
         self._consistent = 0  # number of second differences that agreed with the claimed noise
         self._mounting_problem = ''  # problem of the mounting that driving off has shown
         self._backwards = False  # whether the vehicle drove off backwards
@@ -242,29 +245,31 @@ class Alignment:
         return max(scale(self._scale, 0), 1.0)
 
     def _learn_noise(self, *fix) -> None:
-        """Learn the noise of the fixes from the second difference of a new one (time, latitude, longitude, height,
-        variance) and two before it.
+        """Learn the noise of the fixes from how far a new one (time, latitude, longitude, height, variance) is off the
+        line through those before it.
 
-        A second difference contains the errors of the three fixes and the acceleration of the vehicle, for which the
-        inertial sensors give a bound without a heading.
+        At rest these are LINE_FIXES, and such deviations are the recursive residuals of a regression (R. L. Brown,
+        J. Durbin, J. M. Evans, "Techniques for testing the constancy of regression relationships over time", J. Royal
+        Statistical Society B 37, 1975). In motion these are two: such a second difference contains the errors of the
+        three fixes and the acceleration of the vehicle, for which the inertial sensors give a bound without a heading.
         """
         if self._track and fix[0] - self._track[-1][0] < SHORTEST_PAIR:
             return
-        self._track = [*self._track[-2:], fix]
-        if len(self._track) < 3:
+        track, self._track = self._track, [*self._track[1 - LINE_FIXES:], fix]
+        if len(track) < 2:
             return
-        (t_1, *first), (t_2, *second), (t_3, *third) = self._track
-        motion = inertial_motion(self._samples, t_1, t_3, None, self.config)
+        motion = inertial_motion(self._samples, track[-2][0], fix[0], None, self.config)
         if motion is None:
             return
-        ahead, ratio = t_3 - t_2, (t_3 - t_2) / (t_2 - t_1)
-        to, back = (np.array(to_local(*place[:3], tuple(second[:3]))[:2]) for place in (third, first))
-        first_sample, last_sample = np.searchsorted(self._samples[:, 0], [t_1, t_3])
-        changed = 0.0 if is_quiet(self._samples[first_sample:last_sample], self.config) else (
-            0.5 * ahead * (math.hypot(*motion.gained) + motion.bias_f * (t_3 - t_1)))
-        self._consistent += learn_changes(
-            self._scale, 0, t_3, 0.5 * float(np.sum((to + ratio * back) ** 2)),
-            third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2, OVERLAP)
+        first_sample, last_sample = np.searchsorted(self._samples[:, 0], [track[-2][0], fix[0]])
+        quiet, changed = is_quiet(self._samples[first_sample:last_sample], self.config), 0.0
+        if not quiet:
+            track, self._track = track[-2:], self._track[-2:]
+            changed = 0.5 * (fix[0] - track[-1][0]) * (
+                math.hypot(*motion.gained) + motion.bias_f * (fix[0] - track[-2][0]))
+        off, variance = _off_line(track, fix)
+        self._consistent += learn_changes(self._scale, 0, fix[0], 0.5 * float(off @ off), variance, 0.5 * changed**2, 2,
+                                          1.0 if quiet else OVERLAP)
 
     def _standstill(self, positions) -> Standstill | None:
         return latest_standstill(self._samples, self._in_blocks(), positions, self.config)
@@ -442,3 +447,15 @@ class Alignment:
                      speed * course, float(wrap(yaw)), covariance, standstill, notes,
                      self._saved.errors if self._saved else None, self._scale.copy(),
                      self._saved.wheels if self._saved else None)
+
+
+def _off_line(track: list[tuple], fix: tuple) -> tuple[np.ndarray, float]:
+    """How far a fix is off the line through two or more earlier ones at its time, (2,) north and east, m, and the
+    variance of a component of that by the variances of all of them, m^2. A fix: as for `Alignment._learn_noise`."""
+    time = np.array([earlier[0] for earlier in track])
+    variance = np.array([earlier[4] for earlier in track])
+    position = np.array([to_local(*earlier[1:4], fix[1:4])[:2] for earlier in track])
+    weight = 1.0 / variance / np.sum(1.0 / variance)
+    middle = weight @ time
+    share = weight * (1.0 + (fix[0] - middle) * (time - middle) / (weight @ (time - middle) ** 2))
+    return share @ position, float(fix[4] + share**2 @ variance)

@@ -65,3 +65,13 @@ def learn_from_velocity(mem, r, time, squared, since):
     """
     if mem[DriftSettings.LEARNED] != 0.0 and since > 0.0:
         learn(mem, r + ForceNoise.SCALE, time, squared, ASSUMED * since, 0.0, 2)
+
+
+@njit(_nrt=False)
+def learn_from_change(mem, r, time, squared, noise_share, rest):
+    """Learn from the second difference of three rare fixes at `time`, s, whether noise that was found is still there.
+
+    squared: its mean square, m^2. noise_share: of it, for each m^2/s^3 of noise, s^3. rest: what else is in it, m^2.
+    """
+    if mem[DriftSettings.LEARNED] != 0.0 and mem[r + ForceNoise.SCALE + Scale.LOG] > 0.0:
+        learn(mem, r + ForceNoise.SCALE, time, squared, ASSUMED * noise_share, rest, 2)

@@ -11,7 +11,7 @@ from mems_ins_fusion.compiled import njit
 
 from ...navigation.earth import gravity
 from ..memory import NAV, ROW, Error, Event, Head, Nav, Verdict, element_at, row_of
-from .force_noise import ForceNoise, force_noise, learn_force_noise
+from .force_noise import ForceNoise, force_noise, learn_force_noise, learn_from_change
 from .scale import PRIOR, Scale, learn_changes, reopen, reset_scale, scale
 from .scale import learn as learn_scale
 
@@ -323,9 +323,12 @@ def learn_scatter(mem, r, at):
         north -= (1.0 + ratio) * mem[second]
         east -= (1.0 + ratio) * mem[second + 1]
         part = claimed + (1.0 + ratio) ** 2 * mem[second + 3] + ratio**2 * mem[first + 1]
-        unseen = (_unseen_acceleration(mem, r) * (0.5 * (since - length) * since) ** 2
-                  + force_noise(mem, r) * (since - length) ** 2 * since / 3.0)
-        fits = learn_changes(mem, r + Receiver.SCALE, time, 0.5 * (north * north + east * east), part, unseen, 2)
+        squared, noise_share = 0.5 * (north * north + east * east), (since - length) ** 2 * since / 3.0
+        unseen = _unseen_acceleration(mem, r) * (0.5 * (since - length) * since) ** 2
+        fits = learn_changes(mem, r + Receiver.SCALE, time, squared, part,
+                             unseen + force_noise(mem, r) * noise_share, 2)
+        if since - length > SHORT_LOW_PASS:  # else innovations tell it
+            learn_from_change(mem, r, time, squared, noise_share, realised_scatter(mem, r) * part + unseen)
     # the next three begin with this fix, unless it is far off, which counts once
     mem[first], mem[first + 1], mem[second + 2] = time if fits else 0.0, claimed, 0.0
     mem[moved], mem[moved + 1], mem[moved + 2], mem[moved + 3] = z_n, z_e, 0.0, 0.0
