@@ -59,7 +59,7 @@ def test_a_search_starts_from_what_is_given_from_what_the_recording_shows_and_fr
 def test_the_heading_at_the_start_is_not_that_of_a_wrong_time_offset():
     # given a drive that starts in a bend, right stamps, and an offset of 0.8 s in the parameters
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
-    recording = simulate_recording(simulate_drive(120.0, 4, 25.0), sensors, GnssNoise(0.5, 1.0), seed=4).recording
+    recording = simulate_recording(simulate_drive(120.0, 8, 25.0), sensors, GnssNoise(0.5, 1.0), seed=8).recording
     right, wrong = table.check({}), table.check({TIME_OFFSET: 0.8})
     by_right, by_wrong = (Problem(recording, values).start.yaw for values in (right, wrong))
     assert abs(by_wrong - by_right) > np.radians(4.0)

@@ -102,8 +102,8 @@ def test_a_twist_that_is_none_is_dropped_with_its_numbers():
 @pytest.mark.parametrize('yaw', [-0.06, 0.0, 0.25])
 def test_the_angle_of_an_odometry_is_found_by_filter_configure_and_checker(yaw, tmp_path):
     # given a lidar's odometry that also knows the velocity sideways, in axes turned to the left by `yaw`
-    made = simulate_recording(simulate_drive(240.0, 3, 50.0, standstill=20.0), SensorErrors.from_parameters(
-        table.defaults(), 'gauss_markov'), GnssNoise(0.5, 2.0), [(EFFECTS['twist_yaw'], {'yaw': yaw})], seed=3,
+    made = simulate_recording(simulate_drive(240.0, 4, 50.0, standstill=20.0), SensorErrors.from_parameters(
+        table.defaults(), 'gauss_markov'), GnssNoise(0.5, 2.0), [(EFFECTS['twist_yaw'], {'yaw': yaw})], seed=4,
         aiding=Aiding(twist_rate=10.0, twist_lateral_sigma=0.05)).recording
     # when the filter knows nothing of it
     result = run(config(), made.imu, made.gnss, Measured(twist=made.others['twist']))

@@ -129,7 +129,8 @@ def test_a_speed_is_told_without_fixes_and_no_bit_changes(simulated):
     reference = recording.reference
     true = np.interp(then, (reference.stamp - recording.imu.stamp[0]) * 1e-9,
                      np.linalg.norm(reference.velocity, axis=1))
-    assert then > 205.0 and abs(speed - true) < 3.0 * math.sqrt(variance) < 1.0
+    sigma = math.sqrt(variance)
+    assert then > 205.0 and abs(speed - true) < 3.0 * sigma and sigma < wheel_vibration.LARGEST_SPEED_SIGMA
 
 
 def test_nothing_is_told_where_the_speed_may_be_outside_of_the_grid(simulated):
