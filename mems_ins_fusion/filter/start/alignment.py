@@ -47,10 +47,10 @@ SIGNIFICANT = 3.0  # standard deviations of two fixes by which their displacemen
 SPEED_CHANGE_SIGMA = 0.3  # m/s, standard deviation of a slow vehicle's present speed about its mean over RECENT. Chosen
 SLOW_SPEED = 2.0  # m/s: the course of a faster vehicle soon shows its heading. Chosen, not measured
 STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity at rest
-#: number of second differences of fixes that have to agree with the claimed noise before a course is looked for: noise
-#: above the claim looks like motion
+#: number of fixes that have to be as near to the line through earlier ones as the noise known so far allows, before a
+#: course is looked for: noise above the claim looks like motion
 FEWEST_CONSISTENT = 3
-#: weight of such a second difference in motion: each fix is in three of them
+#: weight of such a deviation in motion, a second difference: each fix is in three of them
 OVERLAP = 0.5
 #: fixes on a line through which the next one is predicted at rest. What is off the line through all earlier ones has
 #: nothing in common with what was off before; six are nearly all, and old ones would show errors that last
@@ -85,7 +85,7 @@ class Alignment:
         self._saved: SavedState | None = None
         self._scale = np.zeros(Scale.CHANGING_SIZE)  # realised over claimed variance of the fixes
         self._track: list[tuple] = []  # the latest fixes that are SHORTEST_PAIR apart: LINE_FIXES at rest, else two
-        self._consistent = 0  # number of second differences that agreed with the claimed noise
+        self._consistent = 0  # number of fixes that agreed with the noise known so far
         self._mounting_problem = ''  # problem of the mounting that driving off has shown
         self._backwards = False  # whether the vehicle drove off backwards
 
