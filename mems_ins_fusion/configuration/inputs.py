@@ -300,13 +300,13 @@ def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, rotation:
 
 def _turns_as(imu, twists, rotation) -> bool:
     """Whether the turn rate is correlated with that of the gyroscopes, with either sign."""
-    turn = estimate_turn_offset(imu, twists, rotation, enough=_TURNING)
-    return turn is not None and abs(turn.correlation) > _TURNING
+    return _turning(imu, twists, rotation, enough=_TURNING) is not None
 
 
-def _turning(imu, twists, rotation, least=_TURNING) -> TurnOffset | None:
-    """Time offset from the turn rate; None if that is not correlated with the gyroscopes, with either sign."""
-    turn = estimate_turn_offset(imu, twists, rotation)
+def _turning(imu, twists, rotation, least=_TURNING, enough=1.0) -> TurnOffset | None:
+    """Time offset from the turn rate; None if that is not correlated with the gyroscopes, with either sign. enough: as
+    for `estimate_turn_offset`."""
+    turn = estimate_turn_offset(imu, twists, rotation, enough)
     return turn if turn is not None and abs(turn.correlation) > least else None
 
 

@@ -85,19 +85,21 @@ def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
 def gain_of(problem: Problem, before: Residual, after: Residual) -> HeldOut:
     """The gain of a model without new unknowns: nothing was fitted, so all data are held out. Only innovations of fixes
     count, as another mechanization has other residuals besides."""
-    one, other = after.of_fixes.log_likelihood(), before.of_fixes.log_likelihood()
-    gains = np.where(problem.mask, np.nan_to_num(one - other), 0.0)
-    return _of_gains(problem, gains, [])
+    return _without_fit(problem, before.of_fixes, after.of_fixes)
 
 
 def certainly_better(one: Model, other: Model, gain: float) -> bool:
     """Whether `one` explains the same data better than `other` does, by more than `gain` in log likelihood and for
     certain: the difference is tested by its scatter over blocks of time (Q. H. Vuong, 1989), as innovations that follow
     each other make its sum larger than it is worth."""
-    mask = one.problem.mask
-    gains = np.where(mask, np.nan_to_num(one.residual.log_likelihood() - other.residual.log_likelihood()), 0.0)
-    found = _of_gains(one.problem, gains, [])
+    found = _without_fit(one.problem, other.residual, one.residual)
     return found.gain > gain and found.p < CERTAIN
+
+
+def _without_fit(problem: Problem, before: Residual, after: Residual) -> HeldOut:
+    """The gain of one residual over another, by innovations of the same fixes."""
+    gains = np.nan_to_num(after.log_likelihood() - before.log_likelihood())
+    return _of_gains(problem, np.where(problem.mask, gains, 0.0), [])
 
 
 def _of_gains(problem: Problem | Drives, gains: np.ndarray, estimates: list[np.ndarray]) -> HeldOut:
