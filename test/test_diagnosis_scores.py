@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, ttest_1samp
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
+from mems_ins_fusion.diagnosis import judging
 from mems_ins_fusion.diagnosis.conclusion import (
     PREDICTS_WORSE,
     Correction,
@@ -22,7 +23,7 @@ from mems_ins_fusion.diagnosis.conclusion import (
 )
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
-from mems_ins_fusion.diagnosis.fit import Scores, _scores, fit
+from mems_ins_fusion.diagnosis.fit import Model, Scores, _scores, fit
 from mems_ins_fusion.diagnosis.folds import parts
 from mems_ins_fusion.diagnosis.held_out import HeldOut, certainly_better
 from mems_ins_fusion.diagnosis.judgement import (
@@ -43,6 +44,7 @@ from mems_ins_fusion.diagnosis.problem import Unknown
 from mems_ins_fusion.diagnosis.residuals import Residual, lasting, tempered, whiten_matrix
 from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
 from mems_ins_fusion.effects.base import Effect, EffectParameter
+from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.metrics import Errors
 from mems_ins_fusion.evaluation.outages import Outages
 from mems_ins_fusion.evaluation.verdict import Verdict
@@ -899,3 +901,32 @@ def test_a_fit_is_better_for_certain_only_if_it_is_in_most_of_the_drive(gains, b
     expected = sums.sum() > 3.3 and ttest_1samp(sums, 0.0, alternative='greater').pvalue < 0.01
     assert certainly_better(model(gains), model(np.zeros(300)), 3.3) == expected == better
     assert not certainly_better(model(np.zeros(300)), model(gains), 3.3)
+
+
+@pytest.mark.parametrize('begin, end', [(0, 300), (120, 150)])
+def test_of_a_parameter_that_fits_equally_well_at_several_values_there_is_a_range(monkeypatch, begin, end):
+    # given fits of coloured noise from each correlation time that is tried, of which that from 40 s explains the
+    # innovations better by 12 in log likelihood: all over the drive, or in one block of 30 s
+    effect, count = EFFECTS['gnss_coloured_noise'], 300
+    rng = np.random.default_rng(19)
+    problem = SimpleNamespace(stamp=np.arange(count) * 10**9, mask=np.ones(count, dtype=bool), each=(None,),
+                              attitude=None)
+    unit = Residual(rng.standard_normal((count, 2)), np.tile([1.0, 0.0, 1.0], (count, 1)), np.zeros(count),
+                    np.zeros((count, 2)))
+    there = (np.arange(count) >= begin) & (np.arange(count) < end)
+    gains = np.where(there, 12.0 / (end - begin), 0.0) + 1e-3 * rng.standard_normal(count)
+    alone = effect_unknowns(effect, effect.tried[0])
+
+    def fitted(problem, unknowns, x, iterations=0):
+        best = unknowns[-1].factor_on == 40.0
+        return Model(problem, unknowns, np.asarray(x, dtype=float), np.eye(len(x)),
+                     replace(unit, missing=gains) if best else unit, None)
+
+    monkeypatch.setattr(judging, 'fit', fitted)
+    known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=problem)
+    # when the correlation time is estimated, too
+    model, hidden = judging._refined(known, effect, Model(problem, alone, np.ones(1), np.eye(1), unit, None))
+    # then the best one is taken, and the range of all is told unless it is better for certain
+    assert model.unknowns[-1].factor_on == 40.0
+    assert hidden == ({} if end - begin == count else {
+        'gnss_coloured_noise.tau': '10 to 1.6e+02 s explain the recording equally well'})
