@@ -867,7 +867,8 @@ def test_a_noise_level_that_rests_on_a_bound_of_the_fit_is_said(name, bounds, fa
     # given a level that a fit keeps between bounds, and one that is no noise level
     level = Unknown(name, None, 0.0, 0.05, 1.0, bounds=tuple(np.log(bounds)), noise=True)
     size = Unknown('effect.size', None, 0.0, 0.1, 1.0)
-    model = SimpleNamespace(unknowns=[level, size], x=np.array([np.log(factor), 0.0]))
+    model = SimpleNamespace(unknowns=[level, size], x=np.array([np.log(factor), 0.0]),
+                            covariance=np.diag([0.04, 0.1]))
     # then the user is told at which bound it is, if any
     assert [text[:len(said or '')] for text in _noise_remarks(model, {})] == ([said] if said else [])
 
@@ -877,10 +878,22 @@ def test_of_a_level_that_was_chosen_the_bounds_are_those_of_the_choice(factor, s
     # given a level at the lower bound of the fit, for which the user's filter asked for another factor
     level = Unknown('gyroscope.noise', None, 0.0, 0.05, 1.0, bounds=(np.log(1 / 3), np.log(10.0)),
                     noise=True)
-    model = SimpleNamespace(unknowns=[level], x=np.array([np.log(1 / 3)]))
+    model = SimpleNamespace(unknowns=[level], x=np.array([np.log(1 / 3)]), covariance=np.array([[0.04]]))
     # then what is said is of that factor
     remarks = _noise_remarks(model, {'gyroscope.noise': factor})
     assert len(remarks) == (1 if said else 0) and all(said in text for text in remarks)
+
+
+@pytest.mark.parametrize('count, said', [(0.3, 0), (0.6, 1), (200.0, 1)])
+@pytest.mark.parametrize('name, by', [('gnss.sigma', 'gnss.adapt_sigma'), ('gyroscope.noise', 'at rest')])
+def test_a_level_of_which_a_drive_tells_nothing_is_no_remark(name, by, count, said):
+    # given a level with a prior of one e-fold, at its lower bound, of which the scatter of `count` values tells: the
+    # logarithm of a standard deviation has a variance of 1 / (2 count) by them
+    level = Unknown(name, None, 0.0, 0.05, 1.0, bounds=(np.log(1 / 3), np.log(10.0)), noise=True)
+    covariance = np.array([[1.0 / (1.0 + 2.0 * count)]])
+    # then it is said where the drive tells more of it than the prior, with what shows it
+    remarks = _noise_remarks(SimpleNamespace(unknowns=[level], x=np.log([1 / 3]), covariance=covariance), {})
+    assert len(remarks) == said and all(by in text for text in remarks)
 
 
 @pytest.mark.parametrize('gains, better', [
