@@ -929,11 +929,12 @@ def test_of_a_parameter_that_fits_equally_well_at_several_values_there_is_a_rang
     there = (np.arange(count) >= begin) & (np.arange(count) < end)
     gains = np.where(there, 12.0 / (end - begin), 0.0) + 1e-3 * rng.standard_normal(count)
     alone = effect_unknowns(effect, effect.tried[0])
+    nothing = Scores(np.zeros((count, 2)), np.zeros((count, 2, 5)))
 
     def fitted(problem, unknowns, x, iterations=0):
         best = unknowns[-1].factor_on == 40.0
         return Model(problem, unknowns, np.asarray(x, dtype=float), np.eye(len(x)),
-                     replace(unit, missing=gains) if best else unit, None)
+                     replace(unit, missing=gains) if best else unit, nothing)
 
     monkeypatch.setattr(judging, 'fit', fitted)
     known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=problem)
@@ -943,3 +944,28 @@ def test_of_a_parameter_that_fits_equally_well_at_several_values_there_is_a_rang
     assert model.unknowns[-1].factor_on == 40.0
     assert hidden == ({} if end - begin == count else {
         'gnss_coloured_noise.tau': '10 to 1.6e+02 s explain the recording equally well'})
+
+
+@pytest.mark.parametrize('sigma, said', [(0.02, True), (0.2, False)])
+def test_a_value_beyond_the_interval_of_one_that_fits_as_well_makes_it_a_range(monkeypatch, sigma, said):
+    # given three fits that explain the innovations equally well, with sizes of 0.9, 1 and 1.1 m and correlation times
+    # of 40 s, and as sure of the size as `sigma` (m, at 1 m)
+    effect, count = EFFECTS['gnss_coloured_noise'], 300
+    problem = SimpleNamespace(stamp=np.arange(count) * 10**9, mask=np.ones(count, dtype=bool), each=(None,),
+                              attitude=None)
+    unit = Residual(np.ones((count, 2)), np.tile([1.0, 0.0, 1.0], (count, 1)), np.zeros(count), np.zeros((count, 2)))
+    nothing = Scores(np.zeros((count, 2)), np.zeros((count, 2, 5)))
+    sizes = {10.0: 1.0, 40.0: 0.9, 160.0: 1.1}  # the first is the best, as all are
+
+    def fitted(problem, unknowns, x, iterations=0):
+        start = unknowns[-1].factor_on
+        return Model(problem, unknowns, np.array([sizes[start]**2, np.log(40.0 / start)]),
+                     np.diag([(2.0 * sigma)**2, 0.01]), unit, nothing)  # of a square: 2 x times that of x
+
+    monkeypatch.setattr(judging, 'fit', fitted)
+    known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=problem)
+    alone = effect_unknowns(effect, effect.tried[0])
+    # when it is told how well they are determined
+    _, hidden = judging._refined(known, effect, Model(problem, alone, np.ones(1), np.eye(1), unit, nothing))
+    # then the size is a range where the interval of the best one does not hold the others
+    assert hidden == ({'gnss_coloured_noise.sigma': '0.9 to 1.1 m explain the recording equally well'} if said else {})
