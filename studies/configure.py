@@ -1,6 +1,7 @@
 """How well `configure` finds mountings: simulated short drives, and measured recordings turned in every way.
 
     python studies/configure.py drives RESULTS.csv [--drives 100] [--first 0] [--any-fixes] [--diagnose] [--second]
+    python studies/configure.py drives RESULTS.csv --rates 0.2 0.5 1 2 5 10 20 [the same]
     python studies/configure.py slow --drives 12 --first 7701
     python studies/configure.py simulated [--drives 100]
     python studies/configure.py measured DATA
@@ -9,8 +10,9 @@
 drives: cars on roads, receivers that smooth, rovers at walking speed, phones of 10 Hz whose samples alias; offsets,
 arms and mountings drawn at random: what `configure` writes, and with --diagnose what `diagnose` makes of it, and of the
 mounting by hand; each against the truth. A line of RESULTS.csv each; those that are there are not run again. With
---any-fixes receivers of 0.2, 1, 5 and 10 Hz in turn, each second one with gaps of some seconds. With --second the file
-of `configure`, and one by hand, on a second drive of the same vehicle, with other biases: errors against the truth.
+--any-fixes receivers of 0.2, 1, 5 and 10 Hz in turn, each second one with gaps of some seconds; with --rates of those
+rates, Hz, and, where nothing is run with the file, IMUs in g and deg/s, too. With --second the file of `configure`, and
+one by hand, on a second drive of the same vehicle, with other biases: errors against the truth.
 slow: robots at 0.4 m/s that turn on the spot, with twelve receivers, on level ground and with everything that
 `simulate --drive realistic` has: what is said of the mounting after some minutes, as the live node looks at it.
 simulated: two minutes with a standstill, one right-angled turn and one stop, on hilly roads, in cars with suspension,
@@ -23,6 +25,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import permutations, product
@@ -47,7 +50,7 @@ from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.findings import ERROR
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.recordings.units import find_units, in_si
+from mems_ins_fusion.recordings.units import as_delivered, find_units, in_si
 from mems_ins_fusion.reports.configuration import doubts
 from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation import drive
@@ -134,7 +137,8 @@ KINDS = ('car', 'car, RTK', 'car, smoothing', 'rover', 'phone')
 #: receivers of the rovers
 ROVER_FIXES = GnssNoise(0.02, 5.0), GnssNoise(0.3, 1.0)
 ANY_RATE = 0.2, 1.0, 5.0, 10.0  # Hz, of the receivers with --any-fixes
-GAPS = 30.0  # an hour, of 3 to 40 s each, with --any-fixes
+GAPS = 30.0  # an hour, of 3 to 40 s each, with --any-fixes and --rates
+UNITS = tuple(product(('m/s^2', 'g'), ('rad/s', 'deg/s')))  # of the IMUs, in turn, with --rates
 LARGEST_OFFSET, FELT_OFFSET, FELT_ANGLE = 1.0, 0.1, 3.0  # s, s, deg
 UPRIGHT = 6.0  # deg, about each axis: a box that somebody has put in a car
 
@@ -151,10 +155,10 @@ class Case:
 
 
 def case(number: int, upright: bool = False, duration: float = 600.0, any_fixes: bool = False,
-         second: bool = False) -> Case:
+         second: bool = False, rates: Sequence[float] = ()) -> Case:
     """upright: the IMU sits about as its axes say, off by some degrees; else anyhow. duration: s, at most. any_fixes:
-    receivers of ANY_RATE, each second one with gaps, instead of the kind's own rate. second: another drive of this
-    vehicle, with the truth."""
+    receivers of ANY_RATE, each second one with gaps, instead of the kind's own rate. rates: the same with these, Hz.
+    second: another drive of this vehicle, with the truth."""
     seed = number + SECOND_DRIVE * second
     kind, draw = KINDS[number % len(KINDS)], stream(number, 'estimator')
     offset = float(draw.uniform(-LARGEST_OFFSET, LARGEST_OFFSET))
@@ -168,8 +172,10 @@ def case(number: int, upright: bool = False, duration: float = 600.0, any_fixes:
                                             outliers=0.01),
                 'rover': ROVER_FIXES[number // len(KINDS) % 2],
                 'phone': GnssNoise(2.0, 1.0, coloured_sigma=2.0)}[kind]
-    if any_fixes:
-        turn = number // len(KINDS)
+    turn = number // len(KINDS)
+    if rates:
+        receiver = replace(receiver, rate=rates[turn % len(rates)], dropouts=GAPS * (turn % 2))
+    elif any_fixes:
         receiver = replace(receiver, rate=ANY_RATE[turn % len(ANY_RATE)],
                            dropouts=GAPS * (turn // len(ANY_RATE) % 2))
     if kind == 'rover':
@@ -214,9 +220,10 @@ def rover(seed: int, duration: float = 400.0):
 
 def one_case(task) -> list[dict]:
     """What `configure` says of a drive, and `diagnose` after it and by hand; a row each."""
-    number, diagnosed, any_fixes, second = task
-    of = case(number, any_fixes=any_fixes)
-    imu, fixes = of.recording.imu, of.recording.gnss
+    number, diagnosed, any_fixes, second, rates = task
+    of = case(number, any_fixes=any_fixes, rates=rates)
+    units = UNITS[number % len(UNITS)] if rates and not (diagnosed or second) else UNITS[0]
+    imu, fixes = as_delivered(of.recording.imu, *units), of.recording.gnss
     topics = Topics(*((Candidate(topic, len(samples), 1.0, 0.0, 1.0, False, samples),)
                       for topic, samples in (('/imu/data', imu), ('/gps/fix', fixes))), ())
     found = configured(topics, [look(of.recording.name, imu, fixes)], [fixes])
@@ -226,10 +233,12 @@ def one_case(task) -> list[dict]:
                 offset.lag_sigma if shown else np.inf, sigmas=np.degrees(found.mounting.sigma),
                 ready=not doubts(found),
                 arm=offset.arm - of.arm if shown else np.full(3, np.nan),
-                arm_sigma=offset.arm_sigma if shown else np.full(3, np.nan))]
+                arm_sigma=offset.arm_sigma if shown else np.full(3, np.nan),
+                units=all({**table.defaults(), **found.values}[f'imu.{name}_unit'] == unit
+                          for name, unit in zip(('acceleration', 'rate'), units)))]
     by_hand = table.check({'imu.mounting_rpy': np.radians(np.round(np.degrees(rpy(of.rotation)))).tolist()})
     if second:
-        other = case(number, any_fixes=any_fixes, second=True).recording
+        other = case(number, any_fixes=any_fixes, second=True, rates=rates).recording
         rows[0] |= dict(zip(SECOND, (error for values in (found.values, by_hand) for error in measured_errors(
             errors(table.check({**values, **TRUTH}), other)))))
     for way, values in (('configure, diagnose', table.check(found.values)), ('by hand, diagnose', by_hand)):
@@ -269,20 +278,22 @@ def diagnosed_row(of: Case, number: int, way: str, given: dict, result: Diagnosi
 
 
 def row(of: Case, number, way, values, lag, lag_sigma, sigmas=(np.nan,) * 3, ready=False, arm=(np.nan,) * 3,
-        arm_sigma=(np.nan,) * 3) -> dict:
+        arm_sigma=(np.nan,) * 3, units=True) -> dict:
     away = np.degrees(deviation(rotation_from_rpy(*values['imu.mounting_rpy']), of.rotation))
     return {'number': number, 'kind': of.kind, 'way': way, 'offset': of.offset, 'error': lag - of.offset,
-            'sigma': lag_sigma, 'set_error': values['gnss.time_offset'] - of.offset, 'ready': ready,
+            'sigma': lag_sigma, 'set_error': values['gnss.time_offset'] - of.offset, 'ready': ready, 'units': units,
             **{f'{name}_error': error for name, error in zip(('roll', 'pitch', 'yaw'), away)},
             **{f'{name}_sigma': sigma for name, sigma in zip(('roll', 'pitch', 'yaw'), sigmas)},
             **{f'arm_{name}_error': error for name, error in zip('xyz', arm)},
             **{f'arm_{name}_sigma': sigma for name, sigma in zip('xyz', arm_sigma)}}
 
 
-def drives(path: Path, count: int, first: int, diagnosed: bool, any_fixes: bool, second: bool, processes: int):
+def drives(path: Path, count: int, first: int, diagnosed: bool, any_fixes: bool, second: bool, rates: Sequence[float],
+           processes: int):
     there = list(csv.DictReader(path.open())) if path.exists() else []
     known = {int(line['number']) for line in there}
-    tasks = [(number, diagnosed, any_fixes, second) for number in range(first, first + count) if number not in known]
+    tasks = [(number, diagnosed, any_fixes, second, rates) for number in range(first, first + count)
+             if number not in known]
     with ProcessPoolExecutor(processes) as pool, path.open('a', newline='') as file:
         for rows in pool.map(one_case, tasks):
             writer = csv.DictWriter(file, dict.fromkeys((*rows[0], *DIAGNOSED, *SECOND)), restval='')
@@ -312,6 +323,7 @@ def summary(rows: list[dict]):
                   f"{held(*(np.stack([number[f'arm_{axis}_{part}'] for axis in 'xyz']) for part in PARTS))} | "
                   f"{np.median(np.abs(number['set_error'])):.3f} | {np.abs(number['set_error']).max():.2f} | "
                   f'{ready.sum()} | {(ready & off).sum()} |')
+    print(f"units found: {sum(r['units'] == 'True' for r in rows)} of {len(rows)}")
 
 
 def second_drives(rows: list[dict]):
@@ -456,12 +468,13 @@ def main():
     parser.add_argument('--diagnose', action='store_true')
     parser.add_argument('--any-fixes', action='store_true')
     parser.add_argument('--second', action='store_true')
+    parser.add_argument('--rates', type=float, nargs='+', default=())
     parser.add_argument('--processes', type=int, default=2)
     parser.add_argument('--drives', type=int, default=100)
     options = parser.parse_args()
     if options.what == 'drives':
         drives(options.data, options.drives, options.first, options.diagnose, options.any_fixes, options.second,
-               options.processes)
+               options.rates, options.processes)
     elif options.what == 'slow':
         slow(options.drives, options.first, options.processes)
     elif options.what == 'simulated':

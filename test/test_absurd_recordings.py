@@ -136,6 +136,7 @@ def test_an_effect_that_has_lost_its_axes_is_refined_without_them(monkeypatch):
     monkeypatch.setattr(judging, 'fit', fit)
     monkeypatch.setattr(judging, 'also_determined', lambda *arguments: [])
     monkeypatch.setattr(Model, 'likelihood', lambda self, mask: 0.0)
+    monkeypatch.setattr(Model, 'sigma', lambda self: np.ones(len(self.x)))
     monkeypatch.setattr(judging, 'certainly_better', lambda one, other, gain: False)
     monkeypatch.setattr(Model, 'moved', lambda self: self.problem)
     candidate = SimpleNamespace(effect=effect, fixed=dict(effect.tried[0]), undetermined={})

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, ttest_1samp
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
+from mems_ins_fusion.diagnosis import judging
 from mems_ins_fusion.diagnosis.conclusion import (
     PREDICTS_WORSE,
     Correction,
@@ -22,7 +23,7 @@ from mems_ins_fusion.diagnosis.conclusion import (
 )
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
-from mems_ins_fusion.diagnosis.fit import Scores, _scores, fit
+from mems_ins_fusion.diagnosis.fit import Model, Scores, _scores, fit
 from mems_ins_fusion.diagnosis.folds import parts
 from mems_ins_fusion.diagnosis.held_out import HeldOut, certainly_better
 from mems_ins_fusion.diagnosis.judgement import (
@@ -43,6 +44,7 @@ from mems_ins_fusion.diagnosis.problem import Unknown
 from mems_ins_fusion.diagnosis.residuals import Residual, lasting, tempered, whiten_matrix
 from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
 from mems_ins_fusion.effects.base import Effect, EffectParameter
+from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.metrics import Errors
 from mems_ins_fusion.evaluation.outages import Outages
 from mems_ins_fusion.evaluation.verdict import Verdict
@@ -865,7 +867,8 @@ def test_a_noise_level_that_rests_on_a_bound_of_the_fit_is_said(name, bounds, fa
     # given a level that a fit keeps between bounds, and one that is no noise level
     level = Unknown(name, None, 0.0, 0.05, 1.0, bounds=tuple(np.log(bounds)), noise=True)
     size = Unknown('effect.size', None, 0.0, 0.1, 1.0)
-    model = SimpleNamespace(unknowns=[level, size], x=np.array([np.log(factor), 0.0]))
+    model = SimpleNamespace(unknowns=[level, size], x=np.array([np.log(factor), 0.0]),
+                            covariance=np.diag([0.04, 0.1]))
     # then the user is told at which bound it is, if any
     assert [text[:len(said or '')] for text in _noise_remarks(model, {})] == ([said] if said else [])
 
@@ -875,10 +878,22 @@ def test_of_a_level_that_was_chosen_the_bounds_are_those_of_the_choice(factor, s
     # given a level at the lower bound of the fit, for which the user's filter asked for another factor
     level = Unknown('gyroscope.noise', None, 0.0, 0.05, 1.0, bounds=(np.log(1 / 3), np.log(10.0)),
                     noise=True)
-    model = SimpleNamespace(unknowns=[level], x=np.array([np.log(1 / 3)]))
+    model = SimpleNamespace(unknowns=[level], x=np.array([np.log(1 / 3)]), covariance=np.array([[0.04]]))
     # then what is said is of that factor
     remarks = _noise_remarks(model, {'gyroscope.noise': factor})
     assert len(remarks) == (1 if said else 0) and all(said in text for text in remarks)
+
+
+@pytest.mark.parametrize('count, said', [(0.3, 0), (0.6, 1), (200.0, 1)])
+@pytest.mark.parametrize('name, by', [('gnss.sigma', 'gnss.adapt_sigma'), ('gyroscope.noise', 'at rest')])
+def test_a_level_of_which_a_drive_tells_nothing_is_no_remark(name, by, count, said):
+    # given a level with a prior of one e-fold, at its lower bound, of which the scatter of `count` values tells: the
+    # logarithm of a standard deviation has a variance of 1 / (2 count) by them
+    level = Unknown(name, None, 0.0, 0.05, 1.0, bounds=(np.log(1 / 3), np.log(10.0)), noise=True)
+    covariance = np.array([[1.0 / (1.0 + 2.0 * count)]])
+    # then it is said where the drive tells more of it than the prior, with what shows it
+    remarks = _noise_remarks(SimpleNamespace(unknowns=[level], x=np.log([1 / 3]), covariance=covariance), {})
+    assert len(remarks) == said and all(by in text for text in remarks)
 
 
 @pytest.mark.parametrize('gains, better', [
@@ -899,3 +914,58 @@ def test_a_fit_is_better_for_certain_only_if_it_is_in_most_of_the_drive(gains, b
     expected = sums.sum() > 3.3 and ttest_1samp(sums, 0.0, alternative='greater').pvalue < 0.01
     assert certainly_better(model(gains), model(np.zeros(300)), 3.3) == expected == better
     assert not certainly_better(model(np.zeros(300)), model(gains), 3.3)
+
+
+@pytest.mark.parametrize('begin, end', [(0, 300), (120, 150)])
+def test_of_a_parameter_that_fits_equally_well_at_several_values_there_is_a_range(monkeypatch, begin, end):
+    # given fits of coloured noise from each correlation time that is tried, of which that from 40 s explains the
+    # innovations better by 12 in log likelihood: all over the drive, or in one block of 30 s
+    effect, count = EFFECTS['gnss_coloured_noise'], 300
+    rng = np.random.default_rng(19)
+    problem = SimpleNamespace(stamp=np.arange(count) * 10**9, mask=np.ones(count, dtype=bool), each=(None,),
+                              attitude=None)
+    unit = Residual(rng.standard_normal((count, 2)), np.tile([1.0, 0.0, 1.0], (count, 1)), np.zeros(count),
+                    np.zeros((count, 2)))
+    there = (np.arange(count) >= begin) & (np.arange(count) < end)
+    gains = np.where(there, 12.0 / (end - begin), 0.0) + 1e-3 * rng.standard_normal(count)
+    alone = effect_unknowns(effect, effect.tried[0])
+    nothing = Scores(np.zeros((count, 2)), np.zeros((count, 2, 5)))
+
+    def fitted(problem, unknowns, x, iterations=0):
+        best = unknowns[-1].factor_on == 40.0
+        return Model(problem, unknowns, np.asarray(x, dtype=float), np.eye(len(x)),
+                     replace(unit, missing=gains) if best else unit, nothing)
+
+    monkeypatch.setattr(judging, 'fit', fitted)
+    known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=problem)
+    # when the correlation time is estimated, too
+    model, hidden = judging._refined(known, effect, Model(problem, alone, np.ones(1), np.eye(1), unit, None))
+    # then the best one is taken, and the range of all is told unless it is better for certain
+    assert model.unknowns[-1].factor_on == 40.0
+    assert hidden == ({} if end - begin == count else {
+        'gnss_coloured_noise.tau': '10 to 1.6e+02 s explain the recording equally well'})
+
+
+@pytest.mark.parametrize('sigma, said', [(0.02, True), (0.2, False)])
+def test_a_value_beyond_the_interval_of_one_that_fits_as_well_makes_it_a_range(monkeypatch, sigma, said):
+    # given three fits that explain the innovations equally well, with sizes of 0.9, 1 and 1.1 m and correlation times
+    # of 40 s, and as sure of the size as `sigma` (m, at 1 m)
+    effect, count = EFFECTS['gnss_coloured_noise'], 300
+    problem = SimpleNamespace(stamp=np.arange(count) * 10**9, mask=np.ones(count, dtype=bool), each=(None,),
+                              attitude=None)
+    unit = Residual(np.ones((count, 2)), np.tile([1.0, 0.0, 1.0], (count, 1)), np.zeros(count), np.zeros((count, 2)))
+    nothing = Scores(np.zeros((count, 2)), np.zeros((count, 2, 5)))
+    sizes = {10.0: 1.0, 40.0: 0.9, 160.0: 1.1}  # the first is the best, as all are
+
+    def fitted(problem, unknowns, x, iterations=0):
+        start = unknowns[-1].factor_on
+        return Model(problem, unknowns, np.array([sizes[start]**2, np.log(40.0 / start)]),
+                     np.diag([(2.0 * sigma)**2, 0.01]), unit, nothing)  # of a square: 2 x times that of x
+
+    monkeypatch.setattr(judging, 'fit', fitted)
+    known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=problem)
+    alone = effect_unknowns(effect, effect.tried[0])
+    # when it is told how well they are determined
+    _, hidden = judging._refined(known, effect, Model(problem, alone, np.ones(1), np.eye(1), unit, nothing))
+    # then the size is a range where the interval of the best one does not hold the others
+    assert hidden == ({'gnss_coloured_noise.sigma': '0.9 to 1.1 m explain the recording equally well'} if said else {})

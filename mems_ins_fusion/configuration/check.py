@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from mems_ins_fusion.configuration.inputs import CLOCKED, axes_of, clock_of, dynamic_of
+from mems_ins_fusion.configuration.inputs import CLOCKED, SHARE_KNOWN, axes_of, clock_of, dynamic_of
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
 from mems_ins_fusion.configuration.odometry_axes import OdometryAxes
 from mems_ins_fusion.configuration.receiver import TOO_SURE, assess_receiver
@@ -38,8 +38,6 @@ _BACKWARDS = math.radians(150.0)
 FASTEST_IN_REVERSE = 8.0
 #: s: smaller errors of a time offset are not reported
 SMALL_OFFSET = 0.05
-#: smaller errors of the share of the dynamic pressure are estimated by the filter
-SMALL_SHARE = 0.3
 #: m: smaller errors of a component of the lever arm of the antenna are estimated by the filter
 SMALL_ARM = 0.3
 #: ratio of the actual scatter of fixes to their stated sigma, below which the sigma is certainly wrong
@@ -196,7 +194,7 @@ def _check_pressures(recording: Recording, fixes: Fixes, values: dict):
         share = left.value + values[f'{name}.dynamic']
         shown = {'share': share, 'sigma': left.sigma, 'left': left.value}
         said = f'the {name} has {share:.2f} +- {left.sigma:.2f} of the dynamic pressure'
-        if left.certain(SMALL_SHARE, SURE):
+        if left.certain(SHARE_KNOWN, SURE):
             yield Finding(WARNING, f'gnss/{name}', f'{said}: set {name}.dynamic to {share:.2f}', shown,
                           (f'{name}.dynamic',))
         else:

@@ -63,9 +63,9 @@ _HEADING_TURNS = 0.5  # the same for the derivative of a heading, which is noisi
 # with less they are the same receiver
 _IN_COMMON = 0.7
 LEAST_APART = 0.1  # m, smallest distance of two antennas: the phase centres of one antenna differ by less
-#: share of the dynamic pressure that is known without a recording, as its standard deviation: one with a larger sigma
-#: tells nothing
-_SHARE_KNOWN = ALL['pressure.dynamic_sigma'].default
+#: share of the dynamic pressure that is known without a recording, as its standard deviation: an estimate with a larger
+#: sigma tells nothing, and a smaller error of the parameter is estimated by the filter
+SHARE_KNOWN = ALL['pressure.dynamic_sigma'].default
 _ARM_KNOWN = 0.3  # m, largest sigma of the place of a second antenna that is used, or the noise of its fixes
 
 
@@ -260,7 +260,7 @@ def dynamic_of(pressures: Pressures, factor: float, fixes: Fixes | None) -> Dyna
     if fixes is None:
         return None
     shown = estimate_dynamic_pressure(replace(pressures, pressure=factor * pressures.pressure), fixes)
-    return shown if shown is not None and shown.sigma < _SHARE_KNOWN else None
+    return shown if shown is not None and shown.sigma < SHARE_KNOWN else None
 
 
 class Clock(NamedTuple):

@@ -32,6 +32,9 @@ SPEEDING = 0.15  # m/s^2, smallest root mean square of the acceleration with whi
 LONGEST_GAP = 30.0  # s, longest time without a fix that is not remarked on: such a part shows little
 #: ratio to a bound from which on a fitted noise level counts as at this bound: a fit comes near it, not onto it
 AT_BOUND = 0.95
+#: what shows how small a noise level is, by its name; else _AT_REST
+_SHOWN_BY = {'gnss.sigma': 'The filter learns it from the fixes (gnss.adapt_sigma)'}
+_AT_REST = 'A record at rest shows it (configure)'
 MOUNTING = 'mounting_rotation'
 #: why a finding is reported but not added
 NO_PROOF = 'no smaller error is proven with it'
@@ -377,24 +380,26 @@ def _noise_remarks(model: Model, chosen: dict[str, float]) -> list[str]:
     """Remarks on noise levels that rest on a bound: of the fit, or where one was chosen for the user, of that choice.
 
     At the upper one settings are wrong, or no effect explains the data. At the lower one the level is only known to be
-    no larger, and the sigmas of what is fitted beside it are those with that level. A level whose lower bound is its
-    setting (`ONLY_LARGER`) rests there on most drives.
+    no larger, and the sigmas of what is fitted beside it are those with that level. Two kinds of levels rest there on
+    most drives and are not said: one whose lower bound is its setting (`ONLY_LARGER`), and one of which the drive tells
+    less than its prior (fixes to the centimetre, to which a diagnosis adds more than they scatter).
     """
-    fitted = [(u.name, float(np.exp(x)), *np.exp(u.bounds)) for u, x in zip(model.unknowns, model.x) if u.noise]
+    fitted = [(u.name, float(np.exp(x)), *np.exp(u.bounds), 2.0 * variance < u.prior**2)
+              for u, x, variance in zip(model.unknowns, model.x, np.diag(model.covariance)) if u.noise]
     levels = [*(level for level in fitted if level[0] not in chosen),
-              *((name, factor, 1 / LARGEST_FACTOR, LARGEST_FACTOR) for name, factor in chosen.items())]
+              *((name, factor, 1 / LARGEST_FACTOR, LARGEST_FACTOR, True) for name, factor in chosen.items())]
     said = []
-    for name, factor, smallest, largest in levels:
+    for name, factor, smallest, largest, shown in levels:
         if factor > AT_BOUND * largest and name != 'gnss.sigma':
             said.append(
                 f'{name} would have to be {factor:.0f} times as large as configured to explain this drive: no sensor '
                 'is so much noisier than its settings, so this stands for something that is not in the library '
                 '(vibration of the mount, samples that repeat, a scale or an axis that is not what it says).')
-        if smallest < 1.0 and factor * AT_BOUND < smallest:
+        if shown and smallest < 1.0 and factor * AT_BOUND < smallest:
             said.append(
                 f'{name} would have to be {factor:.2g} times as large as configured, or smaller still, to explain this '
-                'drive: that is the smallest that is tried, so how small it is does not show. A record at rest shows '
-                'it (configure).')
+                'drive: that is the smallest that is tried, so how small it is does not show. '
+                f'{_SHOWN_BY.get(name, _AT_REST)}.')
     return said
 
 

@@ -12,7 +12,6 @@ import math
 from ..configuration.check import (
     SMALL_ARM,
     SMALL_OFFSET,
-    SMALL_SHARE,
     SMALL_TILT,
     SMALL_YAW,
     SURE,
@@ -20,6 +19,7 @@ from ..configuration.check import (
     clocks_left,
     shares_left,
 )
+from ..configuration.inputs import SHARE_KNOWN
 from ..configuration.mounting import Mounting, estimate_mounting
 from ..configuration.offset import FLOOR
 from ..configuration.remaining import ANGLES, ARM, LOW_PASS, TIME_OFFSET, YAW, Remaining, remaining_of
@@ -104,7 +104,7 @@ def _of_inputs(part: Recording, mounting: Mounting | None, values: dict) -> dict
             axes = Remaining(YAW, clock.axes.yaw, clock.axes.sigma)
             found[f'{name}_yaw'] = {'yaw': axes}, {'yaw': SMALL_YAW}
     for name, share in shares_left(part, usable_fixes(part.gnss), values).items():
-        found[f'{name}_dynamic'] = {'share': share}, {'share': SMALL_SHARE}
+        found[f'{name}_dynamic'] = {'share': share}, {'share': SHARE_KNOWN}
     return {name: of for name, of in found.items() if not effect_called(name).hidden(values, part)}
 
 

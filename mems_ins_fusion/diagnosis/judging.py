@@ -24,6 +24,8 @@ from .trial_runs import TrialRuns
 CLOSE = 3.3
 #: ratio of two values that fit equally well, above which a parameter is not determined
 APART = 1.5
+#: sigmas from the best value, beyond which another one that fits as well is outside its 95 % interval: the same
+OUTSIDE = 2.0
 COMPARED = 3  # number of iterations of a fit that is only compared with others
 REFITTED = 4  # number of iterations of a fit that starts near its maximum
 SHOWN = 2.0  # smallest ratio of value and sigma with which a parameter of an effect is kept
@@ -193,11 +195,12 @@ def _refined(known: Known, effect: Effect, trial: Model) -> tuple[Model, dict[st
     mask = trial.problem.mask
     best = max(fits, key=lambda m: m.likelihood(mask))
     good = [m for m in fits if not certainly_better(best, m, CLOSE)]
-    hidden = {}
+    hidden, sigma = {}, best.sigma()
     for i in range(first, len(best.unknowns)):
         unknown = best.unknowns[i]
         found = [m.unknowns[i].meant(m.x[i], 0.0)[0] for m in good]
-        if max(found) > APART * min(found):
+        value, own = unknown.meant(best.x[i], sigma[i])
+        if max(found) > APART * min(found) or max(abs(other - value) for other in found) > OUTSIDE * own:
             unit = next(p.unit for p in effect.traced if p.name == unknown.parameter)
             between = Estimate(None, None, unit, (min(found), max(found)))
             hidden[unknown.name] = f'{between.text()} explain the recording equally well'
