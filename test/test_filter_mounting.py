@@ -37,8 +37,8 @@ SEED, FREE = 2000, {**NON_HOLONOMIC, 'imu.mounting_sigma': 0.1, 'sensor_error_mo
 @pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
 @pytest.mark.parametrize('turn', [0.0, 0.8, -1.6, 3.0])
 def test_no_sideways_velocity_is_linearised_where_the_mounting_is_estimated(mechanization, turn):
-    # given a body that is turned in the vehicle by the estimated angle and some more, and a tilt that is so certain that
-    # how vehicles accelerate tells nothing
+    # given a body that is turned in the vehicle by the estimated angle and some more, and a tilt that is so certain
+    # that how vehicles accelerate tells nothing
     config = configure({**FREE, 'mechanization': mechanization})
     n, k = config.layout.n, 1 if mechanization == 'planar' else 2
     yaw, pitch = config.layout.index('mounting_yaw'), config.layout.index('mounting_pitch')

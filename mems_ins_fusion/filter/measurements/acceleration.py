@@ -10,29 +10,29 @@ from __future__ import annotations
 from mems_ins_fusion.compiled import njit
 
 from ...navigation.earth import gravity
-from ..memory import Error, Event, Head, Nav, Sample, channel_of, row_of
+from ..memory import NAV, Error, Event, Head, Nav, Sample, channel_of, element_at, row_of
 from .geometry import add_attitude_error, rotate
 
 #: m^2/s^3, power spectral density of a land vehicle's acceleration: the velocity changes by 9.5 m/s (1 sigma) in 30 s.
 #: Changes of velocity over 5 to 60 s of measured drives give 0.1 to 4.2
 DENSITY = 3.0
-#: m/s^2, standard deviation of the accelerometers' error below which this tells nothing: it would halve the variance of
-#: such an error in twenty minutes (DENSITY over the variance), and costs a twelfth of a sample's time
+#: m/s^2, standard deviation of the accelerometers' error up to which this is not used: it would need five minutes to
+#: halve the variance of such an error (DENSITY over the variance), and costs a twelfth of a sample's time
 SMALLEST_ERROR = 0.1
 
 
 @njit(_nrt=False)
-def tells(mem, r, n):
-    """Whether how vehicles accelerate tells anything of the accelerometers' biases and of the tilt of the state at r,
-    whose P (n, n) is in the scratch."""
-    p, variance = int(mem[Head.SCRATCH_AT]), 0.0
+def error_variance(mem, r):
+    """Variance of a horizontal component of the acceleration as the state at r has it, by bias and tilt, (m/s^2)^2."""
+    n_navigation, m, total = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), 0.0
+    sensors = r + NAV + (n_navigation + 1) * (n_navigation + m)
     for axis in range(2):
         state, tilt = channel_of(mem, axis), row_of(mem, Error.PHI_N + axis)
         if state >= 0:
-            variance += mem[p + (n + 1) * state]
+            total += mem[sensors + (m + 1) * (state - n_navigation)]
         if tilt >= 0:
-            variance += gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT]) ** 2 * mem[p + (n + 1) * tilt]
-    return variance > 2.0 * SMALLEST_ERROR**2
+            total += gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT]) ** 2 * mem[element_at(mem, r, tilt, tilt)]
+    return 0.5 * total
 
 
 @njit(_nrt=False)
