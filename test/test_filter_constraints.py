@@ -216,19 +216,33 @@ def test_a_velocity_that_lasts_corrects_as_the_dense_kalman_update(model, feedba
 
 
 @pytest.mark.parametrize('tilt', [0.001, 0.3])
-@pytest.mark.parametrize('vibration', [shaken, lambda memory: memory])
-def test_without_fixes_a_vehicle_goes_on_as_it_did_where_its_attitude_tells_no_acceleration(tilt, vibration):
+def test_without_fixes_a_shaken_vehicle_goes_on_as_it_did_where_its_attitude_tells_no_acceleration(tilt):
     # given a filter whose attitude is uncertain by `tilt`, and an IMU that is tilted by 10 deg against it
     config = made('GM', 'strapdown', 'closed', {**NON_HOLONOMIC, **GOOD, 'imu.adapt_noise': True})
     scale = [1.0] * 3 + [0.1] * 3 + [tilt] * 2 + [1e-3] + [1e-6] * config.layout.n_augmented
     memory = started(config, velocity=(20.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=np.diag(np.square(scale)))
     # when it coasts for 20 s on what that shows of gravity, as a car in motion may
     for k in range(1, 2001):
-        take_sample(vibration(memory), k * DT, 9.81 * np.sin(0.17), 0.0, 9.81 * np.cos(0.17), 0.0, 0.0, 0.0)
+        take_sample(shaken(memory), k * DT, 9.81 * np.sin(0.17), 0.0, 9.81 * np.cos(0.17), 0.0, 0.0, 0.0)
     north, east = velocity_of(config, memory)[:2]
     # then one that is sure of it integrates, and one that is not believes that a car keeps its speed
     assert abs(east) < 1.0
     assert north - 20.0 == pytest.approx(20.0 * 9.81 * np.sin(0.17) if tilt < 0.01 else 0.0, abs=2.0)
+
+
+@pytest.mark.parametrize('sigma', [0.001, 3.0])
+def test_without_fixes_a_vehicle_goes_on_as_it_did_where_its_accelerometers_are_not_known(sigma):
+    # given a bias of 1.7 m/s^2 of an accelerometer that is known to `sigma`, and no vibration
+    config = made('GM', 'strapdown', 'closed', {**NON_HOLONOMIC, **GOOD, 'accelerometer.gauss_markov.tau': [1e4]})
+    scale = [1.0] * 3 + [0.1] * 3 + [1e-3] * 3 + [sigma] + [1e-6] * (config.layout.n_augmented - 1)
+    memory = started(config, velocity=(20.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=np.diag(np.square(scale)))
+    # when it coasts for 20 s
+    for k in range(1, 2001):
+        take_sample(memory, k * DT, 1.7, 0.0, 9.81, 0.0, 0.0, 0.0)
+    north, east = velocity_of(config, memory)[:2]
+    # then one that is sure of it integrates, and one that is not believes that a car keeps its speed
+    assert abs(east) < 1.0
+    assert north - 20.0 == pytest.approx(20.0 * 1.7 if sigma < 0.01 else 0.0, abs=2.0)
 
 
 def test_what_moves_a_shaken_imu_up_and_down_does_not_brake_it():
