@@ -147,10 +147,10 @@ class Model:
         return e
 
 
-def start_of(config, rng, feedback, velocity):
+def start_of(config, rng, feedback, velocity, tilt=0.03, force=0.1):
     layout = config.layout
-    navigation = [2, 2, .3, .3, .03] if config.mechanization == PLANAR else [2, 2, 3, .3, .3, .3, .03, .03, .03]
-    sensors = [.1 if axis < 3 else .01 for axis in config.channel_axes for _ in range(layout.order)]
+    navigation = [2, 2, .3, .3, .03] if config.mechanization == PLANAR else [2, 2, 3, .3, .3, .3, tilt, tilt, .03]
+    sensors = [force if axis < 3 else .01 for axis in config.channel_axes for _ in range(layout.order)]
     scale = np.array(navigation + sensors + [OPTIONAL[name] for name in layout.names[-len(config.extras):]])
     x = 0.3 * scale * rng.standard_normal(layout.n)
     if feedback == 'closed':
@@ -267,9 +267,10 @@ def test_what_is_far_from_what_fixes_say_changes_nothing(kind, last_fix, verdict
     ('strapdown', 'closed', 'gauss_markov', 1.5), ('strapdown', 'open', 'autoregressive', 1.5),
     ('planar', 'closed', 'gauss_markov', 15.0)])
 def test_the_constraint_with_its_states_corrects_as_the_dense_kalman_update(mechanization, feedback, model, sideways):
-    # given a vehicle that moves by its estimate sideways and down
+    # given a vehicle that moves by its estimate sideways and down, and so certain an acceleration that how vehicles
+    # accelerate tells nothing
     config = configure(STATES, mechanization=mechanization, feedback=feedback, sensor_error_model=model)
-    start = start_of(config, np.random.default_rng(9), feedback, (11.0, sideways, -1.9))
+    start = start_of(config, np.random.default_rng(9), feedback, (11.0, sideways, -1.9), tilt=5e-4, force=5e-3)
     if mechanization == 'strapdown':  # where it is not zero, yaw and pitch are one to second order
         start['x'][config.layout.index('mounting_pitch')] = 0.0
     before, after = started(config, **start), started(config, **start)

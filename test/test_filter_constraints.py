@@ -192,9 +192,10 @@ EACH = pytest.mark.parametrize(('model', 'mechanization', 'feedback'), [
 
 @EACH
 def test_no_sideways_velocity_corrects_as_the_dense_kalman_update(model, mechanization, feedback):
-    # given a vehicle that turns, climbs and leans, and moves a little sideways and down by its estimate
+    # given a vehicle that turns, climbs and leans, and moves a little sideways and down by its estimate, and so certain
+    # an acceleration that how vehicles accelerate tells nothing
     config = made(model, mechanization, feedback)
-    start = drawn(config, scale_of(config), np.random.default_rng(5), feedback)
+    start = drawn(config, scale_of(config, attitude=1e-3, force=0.01), np.random.default_rng(5), feedback)
     sample, attitude = (0.3, 1.0, 9.7, 0.02, -0.03, 0.2), (0.2, -0.3, 0.7)
     turned = Rotation.from_euler('ZYX', attitude[::-1] if config.layout.n_navigation == 9 else (0.7, 0.0, 0.0))
     config, before, after = until_corrected(model, mechanization, feedback, NON_HOLONOMIC, sample,
@@ -227,6 +228,21 @@ def test_without_fixes_a_shaken_vehicle_goes_on_as_it_did_where_its_attitude_tel
     # then one that is sure of it integrates, and one that is not believes that a car keeps its speed
     assert abs(east) < 1.0
     assert north - 20.0 == pytest.approx(20.0 * 9.81 * np.sin(0.17) if tilt < 0.01 else 0.0, abs=2.0)
+
+
+@pytest.mark.parametrize('sigma', [0.001, 3.0])
+def test_without_fixes_a_vehicle_goes_on_as_it_did_where_its_accelerometers_are_not_known(sigma):
+    # given a bias of 1.7 m/s^2 of an accelerometer that is known to `sigma`, and no vibration
+    config = made('GM', 'strapdown', 'closed', {**NON_HOLONOMIC, **GOOD, 'accelerometer.gauss_markov.tau': [1e4]})
+    scale = [1.0] * 3 + [0.1] * 3 + [1e-3] * 3 + [sigma] + [1e-6] * (config.layout.n_augmented - 1)
+    memory = started(config, velocity=(20.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=np.diag(np.square(scale)))
+    # when it coasts for 20 s
+    for k in range(1, 2001):
+        take_sample(memory, k * DT, 1.7, 0.0, 9.81, 0.0, 0.0, 0.0)
+    north, east = velocity_of(config, memory)[:2]
+    # then one that is sure of it integrates, and one that is not believes that a car keeps its speed
+    assert abs(east) < 1.0
+    assert north - 20.0 == pytest.approx(20.0 * 1.7 if sigma < 0.01 else 0.0, abs=2.0)
 
 
 def test_what_moves_a_shaken_imu_up_and_down_does_not_brake_it():

@@ -526,21 +526,25 @@ def shaken(receiver, size=0.3, tau=2.0):
 def test_noise_of_the_accelerometers_that_only_the_fixes_show_is_learned(scatter):
     # given accelerometers that err by 0.3 m/s^2 for seconds, a hundred times what is configured, and a sharp receiver
     # or an ordinary one
-    learned, rms, alone = [], [], []
+    learned, rms, alone, behind = [], [], [], []
     for seed in range(2):
         for found, learns in ((rms, True), (alone, False)):
-            _, memory, error, records = shaken(Receiver(300.0, scatter, seed)).through(
+            receiver = shaken(Receiver(300.0, scatter, seed))
+            _, memory, error, records = receiver.through(
                 scatter, 'strapdown', **{'gnss.adapt_covariance': True, 'vehicle.learn_drift': learns})
             found.append(np.sqrt(np.mean(error[len(error) // 2:] ** 2)) / scatter)
             if learns:
                 r = state_at(memory, int(memory[Head.SAMPLES]))
                 learned.append(force_noise(memory, r))
+                known = np.searchsorted(receiver.samples[:, 0], receiver.time[len(receiver.time) // 2:], side='right')
+                behind.append(np.sqrt(np.mean(error[known[known < len(error)]] ** 2)) / scatter)
         # then no fix passes for one of a receiver that goes straight on, though the vehicle does, to the centimetre
         assert not np.any(verdicts(records) == Verdict.EXTRAPOLATED)
     # then the noise is, to a factor, what such errors are to the velocity over seconds, 2 sigma^2 tau
     assert all(0.1 * 0.36 < q < 1.5 * 0.36 for q in learned), learned
     # and the filter is near the fixes, a second behind one off by what that scatters and by 0.2 m, what the
     # accelerometers err by. Without that it is carried away, and at last takes the IMU for wrong
+    assert max(behind) < 1.2, behind  # behind a fix it is as near as that
     assert np.max(rms) < np.hypot(1.2, 0.2 / scatter) < np.min(alone), (rms, alone)
 
 

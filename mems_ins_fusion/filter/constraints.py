@@ -92,8 +92,9 @@ def constrain(mem, r, sample):
         update(mem, r, at, n, dimensions, 1.0, 1.0, 0.0, 0.0, 0.0)
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
         c, shown = body_to_level(mem, r), mem[sample + Shown.SIDEWAYS]
-        # with such noise, how land vehicles accelerate is known better than the accelerometers measure it
-        if hides_turns(mem, shown + force_noise(mem, r)):
+        # with such noise or errors, how land vehicles accelerate is known better than the accelerometers measure it
+        if (acceleration.error_variance(mem, r) > acceleration.SMALLEST_ERROR**2
+                or hides_turns(mem, shown + force_noise(mem, r))):
             dimensions = acceleration.observe(mem, at, h, n, c, sample, since)
             update(mem, r, at, n, dimensions, 1.0, 1.0, ROBUST, 0.0, 0.0)
             clear_rows(mem, h, n)

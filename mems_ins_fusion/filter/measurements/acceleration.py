@@ -1,19 +1,38 @@
 """Pseudo-measurement: the acceleration of a land vehicle is zero-mean white noise.
 
-An IMU measures the acceleration much better than that, unless its noise tilts the solution within seconds, and the
-gravity that leaks in is larger than any acceleration of the vehicle. Without fixes, constant velocity is then nearer to
-the truth than integration, and both combined are nearer than either.
+An IMU with known errors measures the acceleration much better than that. Where its biases or the tilt are not known,
+or its noise tilts the solution within seconds, the gravity and the bias that leak in are larger than a vehicle's mean
+acceleration over half a minute. Without fixes, constant velocity is then nearer to the truth than integration, and both
+combined are nearer than either.
 """
 from __future__ import annotations
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import Event, Sample, channel_of
+from ...navigation.earth import gravity
+from ..memory import NAV, Error, Event, Head, Nav, Sample, channel_of, element_at, row_of
 from .geometry import add_attitude_error, rotate
 
 #: m^2/s^3, power spectral density of a land vehicle's acceleration: the velocity changes by 9.5 m/s (1 sigma) in 30 s.
 #: Changes of velocity over 5 to 60 s of measured drives give 0.1 to 4.2
 DENSITY = 3.0
+#: m/s^2, standard deviation of the accelerometers' error up to which this is not used: it would need five minutes to
+#: halve the variance of such an error (DENSITY over the variance), and costs a twelfth of a sample's time
+SMALLEST_ERROR = 0.1
+
+
+@njit(_nrt=False)
+def error_variance(mem, r):
+    """Variance of a horizontal component of the acceleration as the state at r has it, by bias and tilt, (m/s^2)^2."""
+    n_navigation, m, total = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), 0.0
+    sensors = r + NAV + (n_navigation + 1) * (n_navigation + m)
+    for axis in range(2):
+        state, tilt = channel_of(mem, axis), row_of(mem, Error.PHI_N + axis)
+        if state >= 0:
+            total += mem[sensors + (m + 1) * (state - n_navigation)]
+        if tilt >= 0:
+            total += gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT]) ** 2 * mem[element_at(mem, r, tilt, tilt)]
+    return 0.5 * total
 
 
 @njit(_nrt=False)

@@ -45,6 +45,7 @@ from ..memory import (
     state_at,
     velocity_state,
 )
+from .acceleration import error_variance
 from .geometry import angular_rate
 from .wheel_spectrum import AXES, BINS, MEAN_OVER, POINTS, SHORTEST, WINDOW, Row, Spectrum, look
 from .wheel_spectrum import begin as begin_spectrum
@@ -298,6 +299,8 @@ def _process_window(mem, at, r, sample, speed):
         mem[at + Lines.WITH_LINE] += HOP
         mem[at + Lines.SPEED], mem[at + Lines.REPORTED] = speed + middle, now
         mem[at + Lines.VARIANCE] = spread + mem[at + Lines.VARIANCE_C] * mean * mean
+        if not fixes_come:  # the filter's error is one of the middle of the window, and has changed since then
+            mem[at + Lines.VARIANCE] += (0.5 * time) ** 2 * error_variance(mem, r)
     if learns:
         _update_score(mem, at)
         _update_channels(mem, at)

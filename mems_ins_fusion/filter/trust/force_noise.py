@@ -42,11 +42,11 @@ def force_noise(mem, r):
 
 @njit(_nrt=False)
 def learn_force_noise(mem, r, time, squared, white, p, tau, lasting, weight):
-    """Learn from the innovations behind a low pass, with a fix at `time`, s.
+    """Learn from innovations, behind a low pass or not, with a fix at `time`, s.
 
-    squared: their mean square, m^2. white: what it would be of white ones, m^2. p: variance of the position before the
-    fix, m^2. tau: s, within which the filter follows fixes. lasting: variance of the receiver's errors that last, m^2,
-    as far as it claims them. weight: of this fix, as several tell the same.
+    squared: their mean square, m^2. white: what it would be of white ones that S expects, m^2. p: variance of the
+    position before the fix, m^2. tau: s, within which the filter follows fixes. lasting: variance of the receiver's
+    errors that last, m^2, as far as it claims them. weight: of this fix, as several tell the same.
     """
     if mem[DriftSettings.LEARNED] == 0.0 or mem[r + Nav.BRIDGED] > 0.0 or mem[r + Nav.USE_ALL_FIXES] > 0.0 or p <= 0.0:
         return  # also where the IMU is not used, or known to be wrong

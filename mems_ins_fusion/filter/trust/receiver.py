@@ -222,7 +222,8 @@ def _learn_from_innovation(mem, r, at, interval, claimed, lasting):
 
     Errors of the receiver that last show behind a shorter low pass where the filter does not follow them at once
     (`shown_share`), at rest above all. The same innovations show accelerometers that are noisier than assumed
-    (force_noise.py), but not beside a receiver whose claims are far too small.
+    (force_noise.py), but not beside a receiver whose claims are far too small. Where fixes are more precise than the
+    prediction, such noise shows in each innovation; the low pass would average it out.
 
     interval: s since the fix before. claimed: variance that fixes claim, lasting: of errors that last, as far as they
     claim those, m^2.
@@ -253,7 +254,12 @@ def _learn_from_innovation(mem, r, at, interval, claimed, lasting):
     realised = realised_scatter(mem, r)
     if interval <= SHORT_LOW_PASS:  # the low pass of rarer fixes does not part what lasts from their scatter
         if realised < LARGEST_SCATTER:
-            learn_force_noise(mem, r, time, squared, white, p, tau, max(1.0 - realised, 0.0) * claimed, weight)
+            lasts = max(1.0 - realised, 0.0) * claimed
+            if p > 0.5 * variance:  # each fix is followed by more than half: its innovation alone shows what P lacks
+                alone = 0.5 * counted**2 * (u_n * u_n + u_e * u_e) * variance
+                learn_force_noise(mem, r, time, alone, variance, p, tau, lasts, 0.5 * p / variance)
+            else:
+                learn_force_noise(mem, r, time, squared, white, p, tau, lasts, weight)
         else:  # before that was known its scatter has passed for noise of the accelerometers
             reset_scale(mem, r + ForceNoise.SCALE)
     learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(tau) * lasting, white, 2, weight)
