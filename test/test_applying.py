@@ -129,11 +129,11 @@ def test_the_new_filter_takes_over_where_it_does_not_show(late):
     fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
     arrays, before = (fusion.odometry, fusion.geodetic, fusion.position_covariance_enu), []
     fed(fusion, late, 0, end, {begin: lambda: fusion.change(values), begin + 20: lambda: before.append(fusion.datum)})
-    # then one that has it takes over once, after it has settled, by no more than its sigma says (1.5 deg of heading),
+    # then one that has it takes over once, after it has settled, by no more than three sigma (1.5 deg of heading),
     handover, = fusion.handovers
     waited = (handover.stamp - late.imu.stamp[begin]) / SECOND
-    assert changing.SETTLING <= waited < changing.SETTLING + 60.0 and not fusion.changing
-    assert handover.position < 0.5 and abs(handover.yaw) < math.radians(3.0)
+    assert changing.SETTLING <= waited < changing.LONGEST and not fusion.changing
+    assert handover.position < 0.5 and abs(handover.yaw) < math.radians(4.5)
     # with the bits of a filter that began with the change, where the present one was,
     own = begun(values, late, begin, end)
     own.datum = fusion.datum
@@ -221,7 +221,7 @@ def test_what_is_published_does_not_jump_where_another_filter_takes_over(late, m
     # the difference
     step = np.hypot(*np.diff(published[:, :2], axis=0).T)[at - 5:at + 5]
     moved = np.hypot(*published[:-1, LINEAR:LINEAR + 2].T)[at - 5:at + 5] / 20.0
-    assert np.all(step - moved < 0.1)
+    assert np.all(step - moved < 0.2 * handover.position)
     yaw = np.unwrap(2.0 * np.arctan2(published[:, 5], published[:, 6]))
     assert np.abs(np.diff(yaw))[at - 5:at + 5].max() < math.radians(3.0)
     # the square of how far the new filter's estimate is from the one published is part of the variance published,
