@@ -9,11 +9,12 @@ which the fixes have measured, where it is.
 """
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from ...navigation.strapdown import matrix, multiply
+from ...navigation.strapdown import from_euler, matrix, multiply
 from ..bank import Bank
 from ..config import FilterConfig
 from ..measurements.magnetometer import Magnetometer
@@ -30,9 +31,10 @@ def turns_into(config: FilterConfig, values: Mapping) -> bool:
     """Whether a running filter with `config` can be turned into one with the checked parameters `values`: only the
     mounting differs, and the filter estimates it. A magnetometer's axes and its iron would have to be turned as well.
     """
-    if values == config.parameters or any(isinstance(one, Magnetometer) for one in config.inputs.values()):
-        return False
-    return ({**config.parameters, PARAMETER: values[PARAMETER]} == values
+    magnetic = any(isinstance(one, Magnetometer) and config.settings_of(number).topic
+                   for number, one in config.inputs.items())
+    return (not magnetic and values != config.parameters
+            and {**config.parameters, PARAMETER: values[PARAMETER]} == values
             and all(config.layout.index(name) >= 0 for name in STATES))
 
 
@@ -59,14 +61,11 @@ def turn(memory: np.ndarray, before: FilterConfig, after: FilterConfig) -> None:
 
 def _turn_state(row: np.ndarray, layout: StateLayout, rotation: np.ndarray, lever: np.ndarray) -> None:
     """One state. rotation (3, 3): from the old axes to the new ones. lever: (3,) m, of the antenna."""
-    from scipy.spatial.transform import Rotation  # slow to load, and most runs do not need it
-
     attitude = row[Nav.Q_W:Nav.Q_Z + 1]
     if not attitude.any():  # no state yet
         return
     was = np.array(matrix(tuple(attitude))).reshape(3, 3)
-    x, y, z, w = Rotation.from_matrix(rotation.T).as_quat()
-    attitude[:] = multiply(tuple(attitude), (w, x, y, z))
+    attitude[:] = multiply(tuple(attitude), _quaternion(rotation.T))
     north, east, down = was @ (lever - rotation.T @ lever)
     row[Nav.LATITUDE] += north * row[Nav.NORTH_SCALE]
     row[Nav.LONGITUDE] += east * row[Nav.EAST_SCALE]
@@ -82,6 +81,12 @@ def _turn_state(row: np.ndarray, layout: StateLayout, rotation: np.ndarray, leve
     change[np.ix_(states, states)] = _slope(angles, rotation)
     row[[NAV + state for state in states]] = _turned(angles, rotation)
     set_covariance(row, layout, change @ covariance(row, layout) @ change.T)
+
+
+def _quaternion(c: np.ndarray) -> tuple[float, float, float, float]:
+    """w, x, y, z of the rotation matrix c (3, 3)."""
+    return from_euler(math.atan2(c[2, 1], c[2, 2]), -math.asin(min(max(c[2, 0], -1.0), 1.0)),
+                      math.atan2(c[1, 0], c[0, 0]))
 
 
 def _turned(angles: np.ndarray, rotation: np.ndarray) -> np.ndarray:
