@@ -34,7 +34,7 @@ from .findings import Finding
 from .gathering import CHUNK
 from .held_out import HeldOut
 from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, Findings, Kept, Quantity, together
-from .trial import Trial
+from .trial import DOUBTED, Trial
 from .trial_outages import SETTLING, Predictions, pairs
 from .window import behind, cut, joined, jumps, seconds
 
@@ -168,7 +168,7 @@ class Online:
         elif before is not None:
             self._try(chunk, before)
         self._unseen += seconds(chunk)
-        shown = self._looked() if self._unseen >= NEARLY * self._between else []
+        shown = self._looked() if self._unseen >= NEARLY * self._between or self._is_doubted else []
         for finding in shown:
             self._put_on_trial(finding, latest=True, again=False)
         self._begin_analysis()
@@ -186,6 +186,11 @@ class Online:
     def _between(self) -> float:
         """s of samples from one look to the next."""
         return CHUNK if seconds(self._window) <= LATEST else LOOKED
+
+    @property
+    def _is_doubted(self) -> bool:
+        """Whether what is applied would be taken back if the last minutes showed another value: a look decides it."""
+        return self._applies and any(trial.seen and trial.harm >= DOUBTED for trial in self.applied.values())
 
     def _looked(self) -> list[Finding]:
         """What a look at the latest samples shows to be off."""

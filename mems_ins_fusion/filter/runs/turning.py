@@ -43,10 +43,9 @@ def turn(memory: np.ndarray, before: FilterConfig, after: FilterConfig) -> None:
     rotation = after.imu.mounting @ before.imu.mounting.T
     both = np.kron(np.eye(2), rotation)
     size = int(memory[Bank.SIZE])
-    for one in (memory[:size], memory[size:]) if size else (memory,):  # the second filter (bank.py) follows the first
+    # the second filter (bank.py) follows the first; where there is none, one will begin as a copy of the first
+    for one in (memory, memory[size:]) if memory[Bank.OPEN] else (memory,):
         head, _, rows, ring, _ = views(one)
-        if not head[Head.SAMPLES]:
-            continue
         constant = before.offset - head[Head.OFFSET:Head.OFFSET + 6]
         head[Head.CONDITIONING:Head.CONDITIONING + 36] = after.conditioning.ravel()
         head[Head.OFFSET:Head.OFFSET + 6] = after.offset - both @ constant
