@@ -11,7 +11,7 @@ from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import NAV, Head, Nav, covariance, newest_row
 from mems_ins_fusion.filter.runs import changing, snapshot
 from mems_ins_fusion.filter.runs.turning import turns_into
-from mems_ins_fusion.navigation.earth import radii
+from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.strapdown import matrix
 
 ARM = [0.8, 0.3, 1.0]
@@ -39,11 +39,11 @@ def attitude(fusion):
 
 
 def antenna(fusion):
-    """North, east, down, m, from the equator."""
+    """North, east, down, m, from the datum."""
     row = newest_row(fusion._memory)
-    meridian, normal = radii(row[Nav.LATITUDE])
-    place = [row[Nav.LATITUDE] * meridian, row[Nav.LONGITUDE] * normal * math.cos(row[Nav.LATITUDE]), -row[Nav.HEIGHT]]
-    return place + attitude(fusion)[1] @ fusion._memory[Head.LEVER_X:Head.LEVER_X + 3]
+    north, east, _ = to_local(row[Nav.LATITUDE], row[Nav.LONGITUDE], row[Nav.HEIGHT], fusion.datum)
+    return [float(north), float(east), -row[Nav.HEIGHT]] + attitude(fusion)[1] @ fusion._memory[
+        Head.LEVER_X:Head.LEVER_X + 3]
 
 
 def forward(fusion):
