@@ -70,7 +70,7 @@ def test_a_turned_filter_knows_the_same_of_sensor_antenna_and_vehicle(right):
     # then it does so at once, and attitude of the sensor, place of the antenna and direction of the vehicle stay
     assert fusion.config.parameters == TURNED and not fusion.changing and len(fusion.handovers) == 1
     assert angle(before[0], attitude(fusion)[0]) < 1e-7
-    assert np.abs(before[1] - antenna(fusion)).max() < 1e-5
+    assert np.abs(before[1] - antenna(fusion)).max() < 1e-4  # scales of radians to metres are of a latitude nearby
     assert np.abs(before[2] - forward(fusion)).max() < 1e-12
     # with their covariances: those of the heading contain the correlations with the mounting
     layout, after = fusion.config.layout, covariance(newest_row(fusion._memory), fusion.config.layout)
@@ -98,7 +98,7 @@ def test_a_turned_filter_goes_on_like_one_that_is_not(right):
     assert turned.config.parameters == TURNED
     assert angle(attitude(turned)[0], attitude(other)[0]) < math.radians(0.1)
     assert np.abs(antenna(turned) - antenna(other)).max() < 0.03
-    assert turned.tallies['fix'].refused == other.tallies['fix'].refused == 0
+    assert turned.tallies['fix'].refused == other.tallies['fix'].refused == {}
 
 
 def test_what_is_published_goes_over_to_the_new_axes_within_seconds(right):
@@ -109,7 +109,8 @@ def test_what_is_published_goes_over_to_the_new_axes_within_seconds(right):
                             note(fusion, yaws))})
     assert yaws[1] == pytest.approx(yaws[0], abs=1e-9)
     assert fusion.handovers[0].yaw == pytest.approx(-turn, abs=1e-6)
-    assert fusion._blending is None
+    fusion.update_odometry()
+    assert fusion._blending is None  # after BLENDING
 
 
 def note(fusion, yaws):
