@@ -26,6 +26,7 @@ from .horizon import Horizon, HorizonPredictor
 from .live import FusionFilter
 from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION
 from .turning import turn, turns_into
+from .turning import warm_up as warm_up_turning
 
 SETTLING = 60.0  # s for which the new filter runs before it may take over: its sensor errors settle in that time
 #: s after which the new filter takes over unless its alignment was wrong (LOST): its parameters are proven to be better
@@ -308,6 +309,7 @@ class ChangingFilter(WatchedFilter):
         super().warm_up()
         blending(0, self.odometry, self.odometry).add_to(self.odometry.copy(), self.geodetic.copy(),
                                                          self.position_covariance_enu.copy(), 1.0)
+        warm_up_turning(self.config)
 
     def reset(self) -> None:
         super().reset()

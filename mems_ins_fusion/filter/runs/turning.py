@@ -31,11 +31,22 @@ def turns_into(config: FilterConfig, values: Mapping) -> bool:
     """Whether a running filter with `config` can be turned into one with the checked parameters `values`: only the
     mounting differs, and the filter estimates it. A magnetometer's axes and its iron would have to be turned as well.
     """
+    return (values != config.parameters and {**config.parameters, PARAMETER: values[PARAMETER]} == values
+            and _can_be_turned(config))
+
+
+def _can_be_turned(config: FilterConfig) -> bool:
     magnetic = any(isinstance(one, Magnetometer) and config.settings_of(number).topic
                    for number, one in config.inputs.items())
-    return (not magnetic and values != config.parameters
-            and {**config.parameters, PARAMETER: values[PARAMETER]} == values
-            and all(config.layout.index(name) >= 0 for name in STATES))
+    return not magnetic and all(config.layout.index(name) >= 0 for name in STATES)
+
+
+def warm_up(config: FilterConfig) -> None:
+    """Compile or load what `turn` calls, so that the sample at which it is called is not delayed."""
+    if _can_be_turned(config):
+        memory = config.memory()
+        views(memory)[2][0, Nav.Q_W] = 1.0
+        turn(memory, config, config)
 
 
 def turn(memory: np.ndarray, before: FilterConfig, after: FilterConfig) -> None:
