@@ -8,8 +8,8 @@ import pytest
 from test_applying import APPLY, SECOND, drive, fed
 
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.memory import NAV, Head, Nav, covariance, newest_row
-from mems_ins_fusion.filter.runs import changing, snapshot
+from mems_ins_fusion.filter.memory import NAV, Head, Nav, covariance, newest_row, set_covariance, views
+from mems_ins_fusion.filter.runs import changing, snapshot, turning
 from mems_ins_fusion.filter.runs.turning import turns_into
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.strapdown import matrix
@@ -141,3 +141,28 @@ def test_a_filter_without_a_finding_is_turned_as_well(right):
     fusion.change({**TURNED, **offset}, {'offset': TURNED})
     # then it goes on, in the new axes
     assert fusion._beside['offset'] is beside and beside.fusion.config.parameters == TURNED
+
+
+def test_the_covariance_of_the_mounting_follows_its_angles():
+    # given a mounting that is far from the old one
+    rotation, angles, step = FilterConfig.from_parameters({**GIVEN, 'imu.mounting_rpy': [0.4, -0.3, 0.5]}
+                                                          ).imu.mounting @ np.diag([1.0, -1.0, -1.0]), [0.2, -0.1], 1e-6
+    # then the derivatives that its covariance is multiplied by are those of its angles
+    slope = np.column_stack([(turning._turned(np.add(angles, change), rotation)
+                              - turning._turned(np.subtract(angles, change), rotation)) / (2.0 * step)
+                             for change in step * np.eye(2)])
+    assert turning._slope(np.array(angles), rotation) == pytest.approx(slope, abs=1e-8)
+    assert np.abs(slope - np.eye(2)).max() > 0.1
+    # and they are used
+    config = FilterConfig.from_parameters(GIVEN)
+    other = FilterConfig.from_parameters({**GIVEN, 'imu.mounting_rpy': [0.4, -0.3, 0.5]})
+    memory, layout = config.memory(), config.layout
+    row = views(memory)[2][0]
+    row[Nav.Q_W], states = 1.0, [layout.index(name) for name in turning.STATES]
+    full = np.zeros((layout.n, layout.n))
+    full[states, states] = 1.0, 4.0
+    set_covariance(row, layout, full)
+    turning.turn(memory, config, other)
+    rotation = other.imu.mounting @ config.imu.mounting.T
+    slope = turning._slope(np.zeros(2), rotation)
+    assert covariance(row, layout)[np.ix_(states, states)] == pytest.approx(slope @ np.diag([1.0, 4.0]) @ slope.T)
