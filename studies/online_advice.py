@@ -1,14 +1,15 @@
 """Is the advice of the diagnosis while driving worth following, and true?
 
     python studies/online_advice.py [--seeds 4] [--first-seed 9600] [--receivers RTK "1.5 m"] [--before 180]
+                                    [--noises 1]
 
 Realistic drives (studies/vehicle.py) with one effect from the begin on. After `--before` s the latest samples are
 looked at as the node does, and the advice for the finding is computed (`diagnosis/advice.py`). From there the drive
 goes on in two ways: the driver repeats the manoeuvre of the advice, or drives as before. The sigma asked for is the one
 that the advice predicts for the parameter. *predicted*, *reached*: sigma that the advice predicts and that the look
-gives LATER s behind the first manoeuvre, over the sigma before. *advised*, *ordinary*: seconds until the look gives the
-sigma asked for (longest: LONGEST). The last lines have the medians by receiver, and how often the prediction is within
-20 %.
+gives LATER s behind the first manoeuvre, over the sigma before; with --noises of so many recordings of the same drive,
+each with other noise. *advised*, *ordinary*: seconds until the look gives the sigma asked for (longest: LONGEST). The
+last lines have the medians by receiver, and how often the prediction is within 20 %, of the first recordings.
 """
 from __future__ import annotations
 
@@ -43,17 +44,18 @@ LATER = 10.0
 MOVING = 6.0
 #: Hz, of the IMU
 RATE = 50.0
+OTHER_NOISE = 1_000_003  # seeds from one recording of a drive to the next
 #: names of the look by parameter
 NAMES = {'time_offset': TIME_OFFSET, **dict(zip('xyz', ARM)), **{name: name for name in ANGLES}}
 
 
-def recorded(path: Path, until: float, seed: int, receiver: str, effect: tuple[str, dict]) -> Recording:
-    """The first `until` s of a path."""
+def recorded(path: Path, until: float, seed: int, receiver: str, effect: tuple[str, dict], noise: int = 0) -> Recording:
+    """The first `until` s of a path. noise: number of the recording of it."""
     name, sizes = effect
     distortions = REALISTIC.distortions(seed)
     always = [] if name == 'mounting_rotation' else distortions['effects']
-    return replace(simulate_recording(follow(path, until, RATE), sensors(), FIXES[receiver], seed=seed,
-                                      vibration=distortions['vibration'],
+    return replace(simulate_recording(follow(path, until, RATE), sensors(), FIXES[receiver],
+                                      seed=seed + OTHER_NOISE * noise, vibration=distortions['vibration'],
                                       effects=[*always, (effect_called(name), sizes)]).recording, reference=None)
 
 
@@ -84,7 +86,16 @@ def until_known(recording: Recording, begin: float, parameter: str, asked: float
     return LONGEST
 
 
-def told(seed: int, receiver: str, effect: tuple[str, dict], before: float) -> tuple[str, Advice | None, tuple]:
+def before_and_behind(recording: Recording, begin: float, parameter: str, values: dict) -> tuple[float, float]:
+    """The sigma that the look gives at `begin`, s, and LATER s behind the first manoeuvre."""
+    first = int(recording.imu.stamp[0])
+    ends = [first + round(s * 1e9) for s in (begin, begin + DURATION + LATER)]
+    return tuple(sigma_of(recording.having({n: s.select(s.stamp <= end) for n, s in recording.streams().items()}),
+                          parameter, values) for end in ends)
+
+
+def told(seed: int, receiver: str, effect: tuple[str, dict], before: float, noises: int
+         ) -> tuple[str, Advice | None, tuple]:
     """A line of the table, the advice, and how often the sigma before: predicted, reached; s: advised, ordinary."""
     values = table.check({})
     effect = effect[0], {p: v * (-1) ** (seed + k) for k, (p, v) in enumerate(effect[1].items())}
@@ -100,18 +111,19 @@ def told(seed: int, receiver: str, effect: tuple[str, dict], before: float) -> t
     rest = max(DURATION - sum(one.duration for one in manoeuvre), 0.0)
     once = (*manoeuvre, *([Segment(rest)] if rest else []))
     times = int(LONGEST / DURATION) + 3
-    followed = recorded(replace(ordinary, segments=(*ordinary.segments[:count], *once * times)),
-                        begin + LONGEST + 5.0, seed, receiver, effect)
-    first = int(followed.imu.stamp[0])
-    end = first + round((begin + DURATION + LATER) * 1e9)
-    behind = sigma_of(followed.having({n: s.select(s.stamp <= end) for n, s in followed.streams().items()}),
-                      advice.parameter, values)
+    path, until = replace(ordinary, segments=(*ordinary.segments[:count], *once * times)), begin + LONGEST + 5.0
+    followed = recorded(path, until, seed, receiver, effect)
+    reached = [before_and_behind(followed, begin, advice.parameter, values)[1] / advice.now]
+    for noise in range(1, noises):
+        now, behind = before_and_behind(recorded(path, begin + DURATION + LATER + 1.0, seed, receiver, effect, noise),
+                                        begin, advice.parameter, values)
+        reached.append(behind / now)
     further = recorded(ordinary, begin + LONGEST + 5.0, seed, receiver, effect)
     assert seconds(followed) > begin + LONGEST
     known = [until_known(one, begin, advice.parameter, advice.then, values) for one in (followed, further)]
-    row = advice.then / advice.now, behind / advice.now, *known
+    row = advice.then / advice.now, reached[0], *known
     return (f'{head}{advice.manoeuvre} | {advice.parameter} {advice.now:.2g} {advice.unit} | {row[0]:.2f} | '
-            f'{row[1]:.2f} | {row[2]:.0f} | {row[3]:.0f} |'), advice, row
+            f'{", ".join(f"{one:.2f}" for one in reached)} | {row[2]:.0f} | {row[3]:.0f} |'), advice, row
 
 
 def main() -> None:
@@ -120,6 +132,7 @@ def main() -> None:
     parser.add_argument('--first-seed', type=int, default=9600)
     parser.add_argument('--receivers', nargs='+', choices=FIXES, default=['RTK', '1.5 m'])
     parser.add_argument('--before', type=float, default=180.0)
+    parser.add_argument('--noises', type=int, default=1)
     options = parser.parse_args()
     print('| drive | effect | advice | sigma of | predicted | reached | advised, s | ordinary, s |')
     print(f'|{"---|" * 8}', flush=True)
@@ -127,7 +140,7 @@ def main() -> None:
     for receiver in options.receivers:
         for seed in range(options.first_seed, options.first_seed + options.seeds):
             for effect in EFFECTS:
-                line, _, row = told(seed, receiver, effect, options.before)
+                line, _, row = told(seed, receiver, effect, options.before, options.noises)
                 print(line, flush=True)
                 rows[receiver] += [row] if row else []
     for receiver, found in rows.items():

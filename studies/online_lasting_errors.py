@@ -18,7 +18,7 @@ from functools import partial
 
 import numpy as np
 
-from mems_ins_fusion.diagnosis.online import FALSE_ALARMS
+from mems_ins_fusion.diagnosis.false_alarms import FALSE_ALARMS
 from mems_ins_fusion.diagnosis.trial import STAKED, UNSTAKED
 from mems_ins_fusion.filter.runs.betting import Bets
 

@@ -15,6 +15,7 @@ from test_online import OFFSET, SECOND, blind, finding
 from mems_ins_fusion.diagnosis import online
 from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven, with_applied
 from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.false_alarms import FALSE_ALARMS
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
 from mems_ins_fusion.diagnosis.online import OTHER, Online
 from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
@@ -597,7 +598,7 @@ def test_trials_begin_anew_when_what_they_are_compared_with_changes():
 def test_what_is_proven_with_something_else_has_to_be_proven_beside_it():
     # given two findings that the same outages have proven, as an arm of the antenna and a time offset at one speed
     work = Online(APPLY, blind, blind)
-    work.trials = {name: Trial(finding(), {parameter: OFFSET}, work._next_needed()) for name, parameter in (
+    work.trials = {name: Trial(finding(), {parameter: OFFSET}, **work._false_alarms.next()) for name, parameter in (
         (NAME, 'gnss.time_offset'), ('other', 'other'))}
     for trial in work.trials.values():
         trial.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 200 for duration in OUTAGES})
@@ -608,11 +609,26 @@ def test_what_is_proven_with_something_else_has_to_be_proven_beside_it():
         work._decide()
     other = work.trials['other']
     assert list(work.applied) == [NAME] and other.state == COARSE and other.wealth == 1.0
-    assert other.needed == pytest.approx((2 * math.pi) ** 2 / (6 * online.FALSE_ALARMS))
+    assert other.needed == pytest.approx((2 * math.pi) ** 2 / (6 * FALSE_ALARMS))
     # and what drives stays proven where the other one follows
     other.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 200 for duration in OUTAGES})
     work._decide()
     assert [trial.state for trial in work.applied.values()] == [FINE, FINE] and work.begun == 2
+
+
+@pytest.mark.parametrize('harm, looks', [(1.0, [0, 1, 1, 2, 2]), (DOUBTED, [1, 2, 3, 4, 5])])
+def test_what_is_doubted_is_looked_at_with_each_chunk(late, monkeypatch, harm, looks):
+    # given what is applied, later than there is a look with each chunk, and outages that speak against it
+    monkeypatch.setattr(online, 'LATEST', 0.5 * CHUNK)
+    count, seen = [], []
+    work = Online(APPLY, blind, lambda part, values: count.append(1) or [],
+                  [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, 0)])
+    monkeypatch.setattr(Trial, 'harm', property(lambda trial: harm))
+    for chunk in list(chunks(replace(late, gnss=late.gnss.select(slice(0, 0)))))[1:6]:
+        work.take(chunk)
+        seen.append(len(count))
+    # then the look that decides whether it is taken back does not wait for its turn
+    assert seen == looks
 
 
 def test_what_a_trial_has_lost_has_to_be_won_again_where_it_begins_anew():

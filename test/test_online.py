@@ -19,13 +19,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_support import PATIENCE, PLAYABLE, REPOSITORY, Diagnostics, NodeProcess, Player, stamp_of
 
-from mems_ins_fusion.diagnosis import online, trial_outages, worker
+from mems_ins_fusion.diagnosis import false_alarms, online, trial_outages, worker
 from mems_ins_fusion.diagnosis.advice import Advice
 from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.false_alarms import FALSE_ALARMS
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.gathering import CHUNK, Gathering, chunks
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.online import FALSE_ALARMS, Analysis, Online
+from mems_ins_fusion.diagnosis.online import Analysis, Online
 from mems_ins_fusion.diagnosis.quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT
 from mems_ins_fusion.diagnosis.trial import Trial
 from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
@@ -338,7 +339,7 @@ def test_a_finding_is_proven_on_what_comes_after(drive, monkeypatch):
     # given analyses of which the second finds what there is, and something that is not
     monkeypatch.setattr(online, 'FIRST', CHUNK)
     monkeypatch.setattr(online, 'ANALYSIS', CHUNK)
-    monkeypatch.setattr(online, 'FALSE_ALARMS', 0.1)  # less is needed, of a short drive
+    monkeypatch.setattr(false_alarms, 'FALSE_ALARMS', 0.1)  # less is needed, of a short drive
     wrong = replace(finding(-0.3), name='gnss_latency', changes={'gnss.time_offset': -0.3})
     said, work = followed(drive, [[], [finding(), wrong], [finding(), wrong], [finding()], [finding()]], count=8)
     states = [{quantity.name: quantity.state for quantity in quantities} for quantities in said]
@@ -476,7 +477,7 @@ def test_the_process_ends_with_its_input_in_an_analysis(drive, monkeypatch):
 def test_no_answer_waits_for_the_advice(drive, monkeypatch):
     # given the process of the diagnosis, and a look that has something to tell from the second chunk on, which is not
     # proven in four
-    monkeypatch.setattr(online, 'FALSE_ALARMS', 1e-300)
+    monkeypatch.setattr(false_alarms, 'FALSE_ALARMS', 1e-300)
     monkeypatch.setattr(worker.os, 'nice', lambda by: None)
     monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
     looks = iter([[], [finding()], [], []])

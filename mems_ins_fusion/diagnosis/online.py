@@ -20,8 +20,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from ..effects.registry import effect_called
 from ..errors import InputError
 from ..filter.runs.changing import Dropped
@@ -31,11 +29,12 @@ from .advice import WORTH, Advice, advised
 from .diagnose import diagnose
 from .direct import looked
 from .estimate import Estimate, systematic
+from .false_alarms import FalseAlarms
 from .findings import Finding
 from .gathering import CHUNK
 from .held_out import HeldOut
 from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, Findings, Kept, Quantity, together
-from .trial import Trial
+from .trial import DOUBTED, Trial
 from .trial_outages import SETTLING, Predictions, pairs
 from .window import behind, cut, joined, jumps, seconds
 
@@ -53,9 +52,6 @@ ANALYSED = (10.0, 30.0)
 #: s of a core that an analysis takes at most, beside what the chunks take anyway: 10 to 30 of some minutes at 100 Hz.
 #: With diagnosis.share of it that is the time after which its result counts, live and in a replay
 ANALYSIS = 60.0
-#: probability that anything is called FINE by chance, in all the time that a filter runs: of the k-th trial it is
-#: 6 / (pi k)^2 of that
-FALSE_ALARMS = 0.01
 #: behind the name of a value on trial where another one of the same effect is applied
 OTHER = ', another value'
 #: s: a chunk that is shorter is of samples with wild stamps
@@ -113,14 +109,15 @@ class Online:
         self._since = self._lately = self._unseen = 0.0
         self.trials: dict[str, Trial] = {}  # of what is not applied
         self.applied: dict[str, Trial] = {}
-        self.begun = self._analyses = self._begins = 0  # trials, analyses; ns, the first stamp
+        self._analyses = self._begins = 0  # number of analyses; ns, the first stamp
+        self._false_alarms = FalseAlarms()
         self._why = ''
         self._as_given: dict[str, Finding] = {}  # what looks have shown that is not off for certain
         self._advice: dict[str, Advice] = {}  # what would show more of that
         self._unadvised: list[Trial] = []  # those that came on trial with the newest answer
         for one in kept if self._applies else ():
-            self.applied[one.name] = Trial(_known(one, one.parameters), one.sets, self._next_needed(), applied=True,
-                                           kept=one)
+            self.applied[one.name] = Trial(_known(one, one.parameters), one.sets, applied=True, kept=one,
+                                           **self._false_alarms.next())
 
     @property
     def _due(self) -> float:
@@ -171,7 +168,7 @@ class Online:
         elif before is not None:
             self._try(chunk, before)
         self._unseen += seconds(chunk)
-        shown = self._looked() if self._unseen >= NEARLY * self._between else []
+        shown = self._looked() if self._unseen >= NEARLY * self._between or self._is_doubted else []
         for finding in shown:
             self._put_on_trial(finding, latest=True, again=False)
         self._begin_analysis()
@@ -189,6 +186,11 @@ class Online:
     def _between(self) -> float:
         """s of samples from one look to the next."""
         return CHUNK if seconds(self._window) <= LATEST else LOOKED
+
+    @property
+    def _is_doubted(self) -> bool:
+        """Whether what is applied would be taken back if the last minutes showed another value: a look decides it."""
+        return self._applies and any(trial.seen and trial.harm >= DOUBTED for trial in self.applied.values())
 
     def _looked(self) -> list[Finding]:
         """What a look at the latest samples shows to be off."""
@@ -271,7 +273,7 @@ class Online:
             return
         lost = trial is not None and trial.rejected and (again or trial.harmful)
         if trial is None or lost or (latest and trial.differs(finding)):
-            self.trials[name] = Trial(finding, finding.changes, self._next_needed())
+            self.trials[name] = Trial(finding, finding.changes, **self._false_alarms.next())
             self._unadvised.append(self.trials[name])
         elif not trial.rejected and trial.is_refined_by(finding):
             trial.refine(finding)
@@ -304,10 +306,10 @@ class Online:
         now = one.parameters.get(advice.parameter) if advice else None
         return now is None or now.sigma > WORTH * advice.now
 
-    def _next_needed(self) -> float:
-        """Wealth with which the next trial is proven."""
-        self.begun += 1
-        return (np.pi * self.begun) ** 2 / (6.0 * FALSE_ALARMS)
+    @property
+    def begun(self) -> int:
+        """How many trials there have been."""
+        return self._false_alarms.begun
 
     def _try(self, chunk: Recording, before: Recording) -> None:
         """The outages of `chunk` through the present filter, and through that of each trial. before: the window without
@@ -324,6 +326,7 @@ class Online:
             if not trial.taken and len(latest.gnss):  # for how long errors last, before anything is staked
                 trial.see(_outages(trial, both, before, latest, {}))
             trial.take(_outages(trial, both, self._window, chunk, known), self._now)
+        self._false_alarms.pass_on((*self.trials.values(), *self.applied.values()))
         if self._applies:
             self._decide()
 

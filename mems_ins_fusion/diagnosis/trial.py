@@ -31,7 +31,8 @@ DIGITS = 5
 
 @dataclass
 class Trial:
-    """A finding on trial. sets: parameters as it would have them. needed: wealth with which it is proven.
+    """A finding on trial. sets: parameters as it would have them. needed: wealth with which it is proven. number: the
+    how many-th trial of the drive. share: probability of proving it by chance (`false_alarms.py`).
 
     applied: whether it is part of the parameters that drive. harmful: it was, and has been taken back. seen: whether no
     later analysis speaks against it. kept: for the next drive, where it is applied. advice: what would show more of it.
@@ -55,6 +56,11 @@ class Trial:
     bets: dict[tuple[float, float], Bets] = field(default_factory=lambda: {
         (d, clear): _without_wealth(Bets(clear, math.ceil(UNSTAKED / d))) for d in OUTAGES for clear in STAKED})
     taken: int = 0
+    number: int = 0
+    share: float = field(init=False)
+
+    def __post_init__(self):
+        self.share = 1.0 / self.needed
 
     @property
     def wealth(self) -> float:
@@ -124,6 +130,11 @@ class Trial:
             _without_wealth(bets)
         self.errors, self.taken = {duration: [] for duration in OUTAGES}, 0
         self.proven = self.proven and self.applied
+
+    def add_share(self, share: float) -> None:
+        """Have `share` in addition."""
+        self.needed *= self.share / (self.share + share)
+        self.share += share
 
     def differs(self, finding: Finding) -> bool:
         """Whether `finding`, of the same effect, has other values. Where this one is applied, it is what is left beside

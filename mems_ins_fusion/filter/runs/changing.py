@@ -22,9 +22,11 @@ from ..start.course import start_covariance
 from ..start.start import Start
 from .betting import Bets
 from .blending import Blending, blending
-from .horizon import Horizon
+from .horizon import Horizon, HorizonPredictor
 from .live import FusionFilter
 from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION
+from .turning import turn, turns_into
+from .turning import warm_up as warm_up_turning
 
 SETTLING = 60.0  # s for which the new filter runs before it may take over: its sensor errors settle in that time
 #: s after which the new filter takes over unless its alignment was wrong (LOST): its parameters are proven to be better
@@ -108,6 +110,13 @@ class WatchedFilter(FusionFilter):
         covariance = start_covariance(BEGIN_POSITION**2 * np.eye(2), yaw, BEGIN_HEADING, speed, BEGIN_SPEED)
         velocity = speed * np.array([math.cos(yaw), math.sin(yaw)])
         self._begin(Start(0.0, *other.geodetic.tolist(), velocity, float(wrap(yaw)), covariance, None), epoch)
+
+    def turn_into(self, values: dict) -> None:
+        """Go on with the checked parameters `values`, of another mounting (`turns_into`)."""
+        config = FilterConfig.from_parameters(values)
+        turn(self._memory, self.config, config)
+        self.config, self._correctors, self._horizon = config, config.correctors(), HorizonPredictor(config)
+        self._follow_withheld()
 
     def add_numbered(self, number: int, *fix) -> None:
         """`add_fix` for the fix that has this number in all parallel filters."""
@@ -198,6 +207,9 @@ class ChangingFilter(WatchedFilter):
         without: by name of each finding in them, the parameters without it.
         """
         self._without = without or {}
+        if self.aligned and turns_into(self.config, values):
+            self._turn(values)
+            return
         # where a finding is taken back, the filter without it runs already
         there = next((one for one in self._beside.values() if one.fusion.config.parameters == values), None)
         self._next = there or self._having(values)
@@ -206,8 +218,8 @@ class ChangingFilter(WatchedFilter):
 
     def prepare(self, several: list[dict]) -> None:
         """Run a filter with each of these checked parameters in parallel, so that it has settled when it is to take
-        over. Filters that were prepared before are dropped."""
-        self._ready = [self._having(values) for values in several]
+        over; not where the present one can be turned. Filters that were prepared before are dropped."""
+        self._ready = [self._having(values) for values in several if not turns_into(self.config, values)]
 
     def watch(self, without: dict[str, dict]) -> None:
         """Run in parallel, for each finding in the present parameters, a filter without it, as after `change`."""
@@ -297,6 +309,7 @@ class ChangingFilter(WatchedFilter):
         super().warm_up()
         blending(0, self.odometry, self.odometry).add_to(self.odometry.copy(), self.geodetic.copy(),
                                                          self.position_covariance_enu.copy(), 1.0)
+        warm_up_turning(self.config)
 
     def reset(self) -> None:
         super().reset()
@@ -329,14 +342,27 @@ class ChangingFilter(WatchedFilter):
             elif late:
                 self._next = self._beside_with(other.config.parameters)
 
+    def _turn(self, values: dict) -> None:
+        """Go on in the axes of another mounting, and the filters without each finding as well."""
+        self._next = None
+        self.update_odometry()
+        published = self.odometry.copy()
+        self.turn_into(values)
+        for name, others in self._without.items():
+            there = self._beside.get(name)
+            if there is not None and there.fusion.aligned and turns_into(there.fusion.config, others):
+                there.fusion.turn_into(others)
+            else:
+                self._beside[name] = self._beside_with(others, SETTLING)
+        self._begin_blending(published)
+        self._note_handover(self._now, *_difference(published, self.odometry))
+
     def _from(self, other: FusionFilter) -> tuple[float, float]:
         """Difference of the estimates of `other` and this filter: horizontal position m, yaw rad."""
         other.datum = self.datum
         self.update_odometry()
         other.update_odometry()
-        a, b = self.odometry, other.odometry
-        yaw = yaw_of_quaternion(*b[ORIENTATION:POSE_COVARIANCE]) - yaw_of_quaternion(*a[ORIENTATION:POSE_COVARIANCE])
-        return math.hypot(*(b - a)[POSITION:POSITION + 2]), float(wrap(yaw))
+        return _difference(self.odometry, other.odometry)
 
     def _drop(self, name: str, now: int) -> None:
         """Let the filter without the finding `name` take over at once. From now on only the diagnosis watches other
@@ -366,14 +392,28 @@ class ChangingFilter(WatchedFilter):
         if self._memory is not None:
             self._follow_withheld()
         if published is not None:
-            stamp = self.update_odometry()
-            self._blending = blending(stamp, published, self.odometry)
+            self._begin_blending(published)
         for name, values in self._without.items():
             there = next((fusion for fusion in filters if fusion.config.parameters == values), None)
             self._beside[name] = self._beside_with(values) if there is None else ParallelFilter(
                 there, now, self._fixes)
+        self._note_handover(now, position, yaw)
+
+    def _begin_blending(self, published: np.ndarray) -> None:
+        """Let the published estimate go from the odometry `published` (SIZE,) to that of the filter."""
+        self._blending = None
+        stamp = self.update_odometry()
+        self._blending = blending(stamp, published, self.odometry)
+
+    def _note_handover(self, now: int, position: float, yaw: float) -> None:
         self.handovers.append(Handover(now, position, yaw))
         self.say('info', self.handovers[-1].text)
+
+
+def _difference(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """Difference of two odometries (SIZE,): horizontal position m, yaw rad."""
+    yaw = yaw_of_quaternion(*b[ORIENTATION:POSE_COVARIANCE]) - yaw_of_quaternion(*a[ORIENTATION:POSE_COVARIANCE])
+    return math.hypot(*(b - a)[POSITION:POSITION + 2]), float(wrap(yaw))
 
 
 def _as_sure(present: np.ndarray, other: np.ndarray, times: float) -> bool:
