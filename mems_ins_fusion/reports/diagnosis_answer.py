@@ -78,8 +78,12 @@ def found_text(f: Finding, d: Diagnosis) -> str:
 def settings_texts(d: Diagnosis) -> list[str]:
     """What corrected.yaml changes besides effects, and why."""
     of_effects = {name for f in d.findings if f.added for name in f.changes} - set(d.noise)
-    return [f'corrected.yaml sets {name} to {yaml_value(value)}: {origin(d, name)}.'
+    return [f'corrected.yaml sets {name} to {_shown(value)}: {origin(d, name)}.'
             for name, value in changed(d).items() if name not in of_effects]
+
+
+def _shown(value) -> str:
+    return yaml_value(rounded_value(value, 3))
 
 
 def _group(f: Finding, d: Diagnosis) -> str:
@@ -103,7 +107,7 @@ def _size(f: Finding, d: Diagnosis) -> str:
 def _change(f: Finding, d: Diagnosis) -> str:
     """The new values, and those before."""
     new = changed(d)
-    said = [f'{name} to {yaml_value(new[name])} (it was {yaml_value(rounded_value(d.values[name]))})'
+    said = [f'{name} to {_shown(new[name])} (it was {_shown(d.values[name])})'
             for name in f.changes if name in new and name not in d.noise]
     return f' corrected.yaml sets {", ".join(said)}.' if said else ''
 
@@ -170,7 +174,7 @@ def _steps(d: Diagnosis, output: str, bags: Sequence[str], params_file: str, set
                           + shlex.quote(f'{output}/corrected.yaml')))
     new = changed(d)
     for f in d.findings if d.changed else ():
-        values = ', '.join(f'{name}: {yaml_value(new[name])}' for name in f.changes if name in new)
+        values = ', '.join(f'{name}: {_shown(new[name])}' for name in f.changes if name in new)
         if f.added and check(f.name):
             steps.append(Step(f'Check on the vehicle: {check(f.name)}' + (f' (corrected.yaml has {values}).' if values
                                                                           else '.')))
