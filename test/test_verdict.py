@@ -375,3 +375,19 @@ def test_of_an_effect_without_a_known_size_the_range_is_told(parameters, said):
     text = found_text(effect, d)
     assert text.startswith(f'gnss_coloured_noise: {said}: the receiver')
     assert 'gnss.coloured_noise.sigma to 2.0 (it was 0.0), gnss.coloured_noise.tau to 9.3 (it was 60.0)' in text
+
+
+def test_what_a_direct_look_shows_stands_behind_what_it_is():
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_answer import found_text
+
+    # given samples that come twice, against which a noise density is set
+    name = 'accelerometer.noise_density'
+    effect = SimpleNamespace(added=True, changes={name: [0.0114833] * 3}, name='imu_repeats', parameters={},
+                             seen='2 % of the samples repeat. Set the driver to its rate', group=['imu_repeats'])
+    text = found_text(effect, SimpleNamespace(values={name: [0.00262] * 3}, corrected=effect.changes, noise={},
+                                              findings=[effect], better=False, hidden={}))
+    # then the line begins with what it is, and has three digits
+    assert text.startswith('imu_repeats: IMU samples come twice: 2 % of the samples repeat. Set the driver to its rate.')
+    assert 'to [0.0115, 0.0115, 0.0115] (it was [0.00262, 0.00262, 0.00262])' in text

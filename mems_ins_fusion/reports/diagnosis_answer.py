@@ -72,7 +72,9 @@ def not_usable(found: list[Checked], values: dict, bags: Sequence[str]) -> tuple
 def found_text(f: Finding, d: Diagnosis) -> str:
     """What was found: what it is, how sure, what corrected.yaml does about it, and what that gains."""
     also = f' {capital(looks_the_same(f.name))}.' if looks_the_same(f.name) and f.parameters else ''
-    return f'{f.name}: {_size(f, d)}: {what(f.name)}.{_group(f, d)}{also}{_change(f, d)}{_saves(f) if d.better else ""}'
+    size_first = not f.seen or f.name in WITH_SIZE
+    said = f'{_size(f, d)}: {what(f.name)}' if size_first else f'{what(f.name)}: {f.seen}'
+    return f'{f.name}: {said}.{_group(f, d)}{also}{_change(f, d)}{_saves(f) if d.better else ""}'
 
 
 def settings_texts(d: Diagnosis) -> list[str]:
