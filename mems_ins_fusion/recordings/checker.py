@@ -19,7 +19,7 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.aiding import check_aiding
 from mems_ins_fusion.recordings.claims import misplaced_covariances
-from mems_ins_fusion.recordings.findings import ERROR, INFO, SURE, WARNING, Finding, count_of
+from mems_ins_fusion.recordings.findings import ERROR, INFO, SURE, WARNING, Finding, count_of, time_in_words
 from mems_ins_fusion.recordings.motion import (
     UNSTATED_SIGMA,
     find_standstill,
@@ -217,8 +217,9 @@ def _check_fixes_present(fixes: Fixes, declared: float):
 
 def _no_overlap(imu, fixes):
     offset = float(fixes.stamp[0] - imu.stamp[0]) * 1e-9
-    return Finding(ERROR, 'imu/gnss', f'IMU and fixes do not overlap in time: the fixes begin {abs(offset):.4g} s '
-                   f'{"after" if offset > 0 else "before"} the IMU by their stamps', {'offset_s': offset})
+    return Finding(ERROR, 'imu/gnss', f'IMU and fixes do not overlap in time: the fixes begin '
+                   f'{time_in_words(abs(offset))} {"after" if offset > 0 else "before"} the IMU by their stamps',
+                   {'offset_s': offset})
 
 
 def _check_gravity(imu, still, expected, units: Units, declared, values):

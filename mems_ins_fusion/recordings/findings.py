@@ -33,3 +33,11 @@ def checked_text(finding: Finding, topics: Mapping[str, str]) -> str:
 def count_of(number: int, thing: str) -> str:
     """`number` of `thing` in words: 1 gap, 2 gaps."""
     return f'{number} {thing}' if number == 1 else f'{number} {thing}s'
+
+
+def time_in_words(seconds: float) -> str:
+    """`seconds` with three digits, in the largest of days, hours and seconds of which there are two: 12.5 s, 3100 days.
+    """
+    name, per = next(((name, per) for name, per in (('days', 86400.0), ('h', 3600.0)) if abs(seconds) >= 2.0 * per),
+                     ('s', 1.0))
+    return f'{float(f"{seconds / per:.3g}"):g} {name}'
