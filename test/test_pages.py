@@ -134,6 +134,17 @@ def test_outages_that_begin_at_other_fixes_are_said_to_be_so():
     assert 'the outages of the two begin at other fixes' in wrong and 'too few epochs' not in wrong
 
 
+def test_replays_of_different_drives_are_sent_to_the_same_one():
+    # given two replays without one epoch in common, as those of two drives whose folders have the same name
+    error = np.abs(np.random.default_rng(1).standard_normal(50)) + 1.0
+    first, second = result('a', error), result('b', error)
+    later = Series(1000 * 10**9 + np.arange(50) * 10**9, error)
+    second.runs['drive', 'random_walk', 1.0] = later
+    told = answer(first, second, rows_of(first, second))
+    # then another, longer drive is not what is missing
+    assert 'different drives' in told.wrong[0] and told.steps[0].what.startswith('Replay both on the same drive')
+
+
 # the answer
 
 def test_a_filter_with_a_wrong_clock_is_not_called_good(folder):

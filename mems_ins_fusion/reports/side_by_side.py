@@ -217,7 +217,9 @@ def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
               for r in (first, second) if r.fitted_here]
     best = {BETTER: second, WORSE: first}.get(verdict.answer)
     trust = '' if best is None else f'{best.name}: {trust_text(trust_of(best))}'
-    step = Step(f'Use {best.name}.' if best is not None else 'Compare them on another drive, or a longer one.')
+    further = 'Replay both on the same drive, or a longer one.' if verdict.shown is None else \
+        'Compare them on another drive, or a longer one.'
+    step = Step(further if best is None else f'Use {best.name}.')
     return Answer(GOOD if best is not None else WARNING, _headline(verdict, names), wrong, [], [step], trust,
                   why=because(verdict))
 
@@ -227,13 +229,13 @@ def _why_unpaired(rows: list[Row]) -> str:
     if all(row.count for row in rows if row.duration is None):
         return ('Without fixes they are not compared: the outages of the two begin at other fixes, as outage_spacing '
                 'or the version that replayed them is another one. Their errors stand in the table.')
-    return ('The two share too few epochs for paired statistics: the errors stand side by side, and a difference may '
-            'be one of the drives.')
+    return ('The two have too few epochs in common for paired statistics, as they are of different drives, or of a '
+            'short one. Their errors stand in the table; a difference may be one of the drives.')
 
 
 def _headline(verdict: Verdict, names) -> str:
     if verdict.shown is None:
-        return f'Cannot tell {names[1]} from {names[0]}: too little was measured by both.'
+        return f'Cannot tell {names[1]} from {names[0]}: too few of their errors are of the same times.'
     proof, turned = (change_text(change, verdict.level) for change in (verdict.shown, verdict.shown.turned))
     if verdict.answer in (BETTER, WORSE):
         return f'{names[1]} is better: {proof}.' if verdict.answer == BETTER else f'{names[0]} is better: {turned}.'
