@@ -24,7 +24,7 @@ from mems_ins_fusion.evaluation.verdict import SAME
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.params_file import yaml_value
-from mems_ins_fusion.recordings.checker import Finding
+from mems_ins_fusion.recordings.checker import Remark
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.sketch import sketch
 from mems_ins_fusion.recordings.writing import write_recording
@@ -165,8 +165,8 @@ def test_the_right_clock_is_called_good(folder):
 def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
     values = table.check({'models': ['gauss_markov'], 'update_intervals': [2.0], 'outage_durations': []})
     comparison = replay(read_recording(folder / 'drive', '/imu/data', '/gps/fix'), values)
-    found = [Finding('error', 'imu', f'9.8 is not {STANDARD_GRAVITY}'), Finding('info', 'gnss', 'all is well'),
-             Finding('warning', 'imu/gnss', 'the clocks differ')]
+    found = [Remark('error', 'imu', f'9.8 is not {STANDARD_GRAVITY}'), Remark('info', 'gnss', 'all is well'),
+             Remark('warning', 'imu/gnss', 'the clocks differ')]
     answer = replay_answer.answer(comparison, found, values, 'drive', 'p.yaml')
     assert answer.grade == 'bad' and answer.headline.startswith('Not usable: /imu/data: 9.8')
     assert f'/imu/data: 9.8 is not {STANDARD_GRAVITY}' in answer.wrong
@@ -185,8 +185,8 @@ def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
 def test_what_a_parameter_would_cure_is_said_first_and_configure_is_what_to_do(folder):
     values = table.check({'models': ['gauss_markov'], 'update_intervals': [2.0], 'outage_durations': []})
     comparison = replay(read_recording(folder / 'drive', '/imu/data', '/gps/fix'), values)
-    gaps = Finding('warning', 'imu', '21 gaps')
-    late = Finding('warning', 'imu/gnss', 'the fixes are 0.27 s early', settings=('gnss.time_offset',))
+    gaps = Remark('warning', 'imu', '21 gaps')
+    late = Remark('warning', 'imu/gnss', 'the fixes are 0.27 s early', settings=('gnss.time_offset',))
     # given a recording with gaps, whose fixes are early
     answer = replay_answer.answer(comparison, [gaps, late], values, 'drive', 'p.yaml')
     assert answer.wrong[:2] == ['/imu/data and /gps/fix: the fixes are 0.27 s early', '/imu/data: 21 gaps']

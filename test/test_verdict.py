@@ -179,14 +179,14 @@ def test_a_headline_does_not_contradict_the_file():
 
 
 def test_what_is_certainly_wrong_makes_a_recording_not_usable():
-    from mems_ins_fusion.recordings.checker import Finding
+    from mems_ins_fusion.recordings.checker import Remark
     from mems_ins_fusion.reports.diagnosis_answer import not_usable
     from mems_ins_fusion.reports.verdict import certainly_wrong
 
     values = {'mechanization': 'strapdown', 'imu_topic': '/imu', 'gnss_topic': '/fix', 'temperature_topic': ''}
-    backwards = Finding('error', 'imu', 'the IMU seems to be mounted backwards: set imu.mounting_rpy to [0.0, 0.0, 3]')
-    dead = Finding('error', 'imu', 'rotation rate x: the same value in every sample', {'axes': 'x'})
-    found = [backwards, dead, Finding('warning', 'gnss', 'gaps')]
+    backwards = Remark('error', 'imu', 'the IMU seems to be mounted backwards: set imu.mounting_rpy to [0.0, 0.0, 3]')
+    dead = Remark('error', 'imu', 'rotation rate x: the same value in every sample', {'axes': 'x'})
+    found = [backwards, dead, Remark('warning', 'gnss', 'gaps')]
     assert certainly_wrong(found, values) == [backwards, dead]
     # a planar filter does without three of the axes
     assert certainly_wrong(found, values | {'mechanization': 'planar'}) == [backwards]

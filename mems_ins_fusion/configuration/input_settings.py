@@ -28,7 +28,7 @@ from mems_ins_fusion.configuration.topics import Topics
 from mems_ins_fusion.filter.measurements.registry import AIDING, TYPES
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters.table import ALL
-from mems_ins_fusion.recordings.findings import SURE
+from mems_ins_fusion.recordings.remarks import SURE
 from mems_ins_fusion.recordings.transforms import TOPIC as TF
 
 _LEAST_ARM_SIGMA = 0.01  # m: of the centre of phase of an antenna

@@ -15,7 +15,7 @@ from ..diagnosis.tracing import Candidate
 from ..evaluation.verdict import Verdict
 from ..parameters.params_file import yaml_value
 from ..parameters.table import parameters_of
-from ..recordings.findings import checked_text
+from ..recordings.remarks import checked_text
 from ..recordings.sketch import sketch
 from ..results import plain
 from . import diagnosis_figures as plots

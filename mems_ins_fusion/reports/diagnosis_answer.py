@@ -13,8 +13,7 @@ from ..diagnosis.findings import Diagnosis, Finding
 from ..evaluation.verdict import BETTER, CANNOT_TELL, NO, NOT_USABLE, SAME, WORSE, Verdict
 from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
-from ..recordings.checker import Finding as Checked
-from ..recordings.findings import checked_text
+from ..recordings.remarks import Remark, checked_text
 from .answer import BAD, GOOD, WARNING, YOURS, Answer, Step, cure, let_configure, topics_of
 from .diagnosis import capital, changed, cost, origin, rounded_value, this, unexplained_text
 from .effect_words import check, looks_the_same, size, what
@@ -24,7 +23,7 @@ from .verdict import because, change_text, trust_text
 WITH_SIZE = {MOUNTING}
 
 
-def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, bags: Sequence[str],
+def answer(diagnosis: Diagnosis, checked: list[Remark], output: str, bags: Sequence[str],
            params_file: str = YOURS) -> Answer:
     """Whether to use corrected.yaml, what was wrong, what it costs, what remains, what to do.
 
@@ -59,7 +58,7 @@ def _grade(d: Diagnosis, lacking: bool) -> str:
     return BAD if untrue else WARNING if lacking or d.changed else GOOD
 
 
-def not_usable(found: list[Checked], values: dict, bags: Sequence[str]) -> tuple[Verdict, Answer]:
+def not_usable(found: list[Remark], values: dict, bags: Sequence[str]) -> tuple[Verdict, Answer]:
     """The answer where something in the recording is certainly wrong, so that no effect can be estimated from it.
 
     found: of severity error. values: parameters. bags: paths of the recordings, for the command.

@@ -12,7 +12,7 @@ from ..diagnosis.quantity import Quantity
 from ..evaluation.comparison import Comparison, outage_row, run_row
 from ..evaluation.verdict import NOT_USABLE, decide, trusted
 from ..parameters.table import defaults as default_parameters
-from ..recordings.findings import checked_text
+from ..recordings.remarks import checked_text
 from ..recordings.sketch import fitted_to
 from ..results import json_text
 from . import html

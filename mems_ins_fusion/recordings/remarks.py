@@ -5,12 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 INFO, WARNING, ERROR = 'info', 'warning', 'error'
-#: standard deviations by which a number has to differ for a finding: by chance one in 16 000 does
+#: standard deviations by which a number has to differ for a remark: by chance one in 16 000 does
 SURE = 4.0
 
 
 @dataclass(frozen=True)
-class Finding:
+class Remark:
     """One remark. severity: info, warning or error (the recording gives no sensible result as it is).
 
     topic: imu, gnss, temperature, speed, velocity or heading, or imu/gnss if it concerns both. values: the numbers in
@@ -24,10 +24,10 @@ class Finding:
     settings: tuple[str, ...] = ()
 
 
-def checked_text(finding: Finding, topics: Mapping[str, str]) -> str:
-    """A finding with the topic it is about. topics: of `imu`, `gnss` and `temperature`."""
-    names = ' and '.join(topics.get(part) or part for part in finding.topic.split('/'))
-    return f'{names}: {finding.message}'
+def checked_text(remark: Remark, topics: Mapping[str, str]) -> str:
+    """A remark with the topic it is about. topics: of `imu`, `gnss` and `temperature`."""
+    names = ' and '.join(topics.get(part) or part for part in remark.topic.split('/'))
+    return f'{names}: {remark.message}'
 
 
 def count_of(number: int, thing: str) -> str:
