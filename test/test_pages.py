@@ -176,7 +176,7 @@ def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
     assert not answer.trust
     # diagnose refuses what is certainly wrong: what to do is configure where a parameter cures it, and else to record
     step, = answer.steps
-    assert step.what.startswith('Cure this where the messages come from') and not step.command
+    assert step.what.startswith('Correct this where the messages come from') and not step.command
     found[0] = replace(found[0], settings=('imu.acceleration_unit',))
     step, = replay_answer.answer(comparison, found, values, 'drive', 'p.yaml').steps
     assert step.command == 'python -m mems_ins_fusion configure --bag drive --output configured.yaml'

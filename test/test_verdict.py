@@ -197,7 +197,7 @@ def test_what_is_certainly_wrong_makes_a_recording_not_usable():
     settable = replace(backwards, settings=('imu.mounting_rpy',))
     (step,), (cure,) = (not_usable([f], values, ['my drive'])[1].steps for f in (settable, dead))
     assert step.command == "python -m mems_ins_fusion configure --bag 'my drive' --output configured.yaml"
-    assert cure.what.startswith('Cure this') and not cure.command
+    assert cure.what.startswith('Correct this') and not cure.command
     # and nothing is said twice
     lines = answer.short()
     assert ' '.join(lines).count('mounted backwards') == 1 and not any(line.startswith('wrong') for line in lines)

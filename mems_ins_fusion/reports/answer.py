@@ -159,7 +159,7 @@ def _part(title: str, texts: list[str]) -> str:
 def cure(wrong: Sequence[Remark], bags: Sequence[str]) -> Step:
     """What to do about what is certainly wrong in recordings. bags: their paths."""
     return let_configure(bags) if any(f.settings for f in wrong) else Step(
-        'Cure this where the messages come from, and record again.')
+        'Correct this where the messages come from, and record again.')
 
 
 def let_configure(bags: Sequence[str]) -> Step:

@@ -11,8 +11,9 @@ import numpy as np
 from ..configuration.configure import Configuration
 from ..evaluation.verdict import unsettled
 from ..parameters.params_file import yaml_value
+from ..recordings.remarks import ERROR
 from . import html
-from .answer import GOOD, WARNING, Answer, Step, shorten
+from .answer import GOOD, WARNING, Answer, Step, cure, shorten
 from .html import bullets, figure, folded, paragraph, preformatted, section, table
 from .settings import settings_table
 from .verdict import unsettled_text
@@ -82,10 +83,12 @@ def answer(result: Configuration, bags: list[str], output: str) -> Answer:
              Step('Look at how good it is on this recording:', f'python -m mems_ins_fusion replay_node --ros-args '
                   f'--params-file {path} -p bag:={shlex.quote(bags[0])} -p output_dir:=replay'),
              Step('Drive with it:', f'python -m mems_ins_fusion fusion_node --ros-args --params-file {path}')]
+    broken = [remark for drive in result.drives for remark in drive.findings if remark.severity == ERROR]
     if found is None or not found.yaw_known:
         headline = f'{name} is not complete: the recording does not show how the IMU is mounted.'
-        steps = [Step('Record a drive with a standstill, right-angled turns and braking, and run configure again; or '
-                      'set imu.mounting_rpy by hand.')]
+        steps = [cure(broken, bags) if broken else Step(
+            'Record a drive with a standstill, right-angled turns and braking, and run configure again; or set '
+            'imu.mounting_rpy by hand.')]
     elif wrong:
         headline = f'{name} can be used; see below what is not right or not known.'
     else:
