@@ -57,8 +57,8 @@ def best_model(comparison: Comparison, configured: str) -> str:
 
 
 def judged(comparison: Comparison, remarks: list[Remark], values: dict, where: str = '') -> Verdict:
-    """Whether the filter is better than doing without it: than the last velocity kept, in the outages. The best model
-    speaks for the filter. where: the recording's name, beside others."""
+    """Whether the filter is better than doing without it: than the last velocity kept, in the outages. It is judged by
+    its best model. where: the recording's name, beside others."""
     wrong = tuple(checked_text(f, topics_of(values)) for f in certainly_wrong(remarks, values))
     if wrong:
         return Verdict(NOT_USABLE, why=wrong)
@@ -80,7 +80,7 @@ def consistencies(comparison: Comparison, values: dict) -> list[Consistency]:
 
 
 def answer(comparison: Comparison, remarks: list[Remark], values: dict, bag: str, params_file: str) -> Answer:
-    """Is the filter good here, what is wrong, what it costs, what to do. The best model speaks for the filter.
+    """Is the filter good here, what is wrong, what it costs, what to do, by the best model.
 
     values: parameters. bag, params_file: for the commands.
     """
@@ -302,4 +302,4 @@ def _consistency(comparison: Comparison) -> list[str]:
         return []
     low, high = min(nis.values()), max(nis.values())
     values = number(low, 2) if len(nis) == 1 or high - low < 0.05 else f'{number(low, 2)} to {number(high, 2)}'
-    return [f'The mean NIS at fixes each {interval:g} s is {values} (2 where the filter judges itself rightly).']
+    return [f'The mean NIS at fixes each {interval:g} s is {values} (2 where its sigmas are right).']

@@ -265,7 +265,7 @@ def _explanation():
         'too.',
         'Turns: the vehicle turns faster than 5 degrees per second, 2 s before and after included.',
         'NIS, the normalized innovation squared, compares each fix with the filter\'s prediction and its covariance. '
-        'Its mean is 2 for a filter that judges itself rightly.',
+        'Its mean is 2 where the sigmas of the filter are right.',
         'Outages: each is a run of its own in which fixes are withheld once; the error counts from the last fix used.',
         'A difference between models is called significant when the paired differences give an '
         'adjusted p below 5 % (Holm, over all comparisons on the recording).']))

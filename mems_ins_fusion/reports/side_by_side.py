@@ -59,7 +59,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Result:
-    """One replay. models: first the one that speaks for it, which is the best. runs: by (recording, model, interval);
+    """One replay. models: first the one that it is judged by, which is the best. runs: by (recording, model, interval);
     outages: by (recording, model, duration). fitted_here: the recordings that its parameters were fitted to."""
 
     name: str
@@ -153,7 +153,7 @@ def _outages(path: Path, offset: int) -> dict[tuple, Series]:
 def rows_of(first: Result, second: Result) -> list[Row]:
     """All quantities that both have, judged together (Holm). CompareError where there are none.
 
-    Recordings are matched in their order; of the models first those that speak for the two, then each by its name.
+    Recordings are matched in their order; of the models first those that the two are judged by, then each by its name.
     """
     shared = [(m, m) for m in first.models if m in second.models]
     models = list(dict.fromkeys([(first.models[0], second.models[0]), *shared]))
@@ -190,10 +190,10 @@ def _row(recording, models, kind, size, mine: Series, theirs: Series) -> Row | N
 
 
 def judged(first: Result, second: Result, rows: list[Row]) -> Verdict:
-    """Whether the second is better than the first, by the models that speak for them."""
-    several, speak = len(first.recordings) > 1, (first.models[0], second.models[0])
+    """Whether the second is better than the first, by the models that they are judged by."""
+    several, judged_by = len(first.recordings) > 1, (first.models[0], second.models[0])
     changes = [row.change if several else replace(row.change, where='') for row in rows
-               if row.change is not None and row.decides and row.models == speak]
+               if row.change is not None and row.decides and row.models == judged_by]
     verdict = decide(changes)
     # who was fitted to these very data proves nothing by being better
     winner = {BETTER: second, WORSE: first}.get(verdict.answer)
