@@ -287,9 +287,9 @@ def _compare(found: Mounting, values: dict) -> list[Remark]:
     tilt = math.acos(min(1.0, max(-1.0, float(found.rotation[2] @ declared[2]))))
     tilt_sigma = float(found.sigma[:2].max())
     # the yaw is compared about the up axis found, which a wrong level does not disturb unless it lies on its side
-    nose = found.rotation @ declared[0]
-    yaw = math.atan2(nose[1], nose[0])
-    upright = math.hypot(nose[0], nose[1]) > 0.3
+    forward = found.rotation @ declared[0]
+    yaw = math.atan2(forward[1], forward[0])
+    upright = math.hypot(forward[0], forward[1]) > 0.3
     tilted = tilt > max(SMALL_TILT, SURE * tilt_sigma)
     turned = found.yaw_known and upright and abs(yaw) > max(SMALL_YAW, SURE * float(found.sigma[2]))
     if not tilted and not turned:
@@ -309,8 +309,8 @@ def _compare(found: Mounting, values: dict) -> list[Remark]:
 
 
 def _may_reverse(found: Mounting, yaw: float) -> bool:
-    """Whether a nose that points backwards may be that of a vehicle that goes backwards: it was never faster than one
-    does that."""
+    """Whether a forward axis that points backwards may be that of a vehicle that goes backwards: it was never faster
+    than one does that."""
     return abs(yaw) > _BACKWARDS and (found.spans is None or float(
         np.percentile(np.abs(found.spans.speed), 95)) < FASTEST_IN_REVERSE)
 
