@@ -24,6 +24,7 @@ html_title = 'mems_ins_fusion'
 html_static_path = ['site']
 html_css_files = ['wrap.css']
 html_show_sourcelink = False
+html_show_copyright = False
 
 autodoc_member_order = 'bysource'
 autodoc_typehints = 'signature'

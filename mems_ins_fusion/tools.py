@@ -7,7 +7,7 @@ TOOLS = {
     'characterize': ('cli', 'sensor error parameters from a recording of the IMU at rest'),
     'diagnose': ('cli', 'find what the model lacks in a recording, and add it'),
     'compare': ('cli', 'two replays, params files or recordings side by side'),
-    'fleet': ('cli', 'many recordings of many vehicles: tables, what changed in which vehicle, a gate for CI'),
+    'fleet': ('cli', 'many recordings of many vehicles: tables, what changed in which vehicle, a check for CI'),
     'bench': ('cli', "any filter's output measured as a replay is, and recordings with outages for them"),
     'simulate': ('cli', 'write a recording of a simulated drive, with the truth'),
     'import_csv': ('cli', 'turn CSV files into a recording'),

@@ -48,8 +48,8 @@ from mems_ins_fusion.evaluation.intervals import interval_of_share
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.recordings.findings import ERROR
 from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.recordings.remarks import ERROR
 from mems_ins_fusion.recordings.units import as_delivered, find_units, in_si
 from mems_ins_fusion.reports.configuration import doubts
 from mems_ins_fusion.samples import Recording

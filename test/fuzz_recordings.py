@@ -82,7 +82,7 @@ def imu_constant(recording, rng):
 def imu_scaled(recording, rng):
     """Other units, other axes, mirrored or swapped ones."""
     imu, matrix = recording.imu, np.eye(3)[rng.sample(range(3), 3)] * [rng.choice([-1, 1]) for _ in range(3)]
-    force, rate = rng.choice([1.0, 1 / 9.80665, 1000 / 9.80665, 1e-6]), rng.choice([1.0, 57.3, 1e3])
+    force, rate = rng.choice([1.0, 1 / 9.80665, 1000 / 9.80665, 1e-6, 1e-200]), rng.choice([1.0, 57.3, 1e3, 1e-200])
     return replace(recording, imu=replace(imu, specific_force=force * imu.specific_force @ matrix.T,
                                           angular_rate=rate * imu.angular_rate @ matrix.T))
 
@@ -291,6 +291,8 @@ KNOWN = {
     'constant accelerometers': lambda r: _set(r, 'imu', 'specific_force', _ALL, [0.1, 0.2, 9.8]),
     'a dead IMU': lambda r: _set(_set(r, 'imu', 'specific_force', _ALL, 0.0), 'imu', 'angular_rate', _ALL, 0.0),
     'dead accelerometers': lambda r: _set(r, 'imu', 'specific_force', _ALL, 0.0),
+    'an IMU whose values have squares of zero': lambda r: replace(r, imu=replace(
+        r.imu, specific_force=1e-200 * r.imu.specific_force, angular_rate=1e-200 * r.imu.angular_rate)),
     'dead gyroscopes': lambda r: _set(r, 'imu', 'angular_rate', _ALL, 0.0),
     'each sample twice': lambda r: _repeated(r, 'imu'), 'each fix twice': lambda r: _repeated(r, 'gnss'),
     'one stamp of 1970': lambda r: _set(r, 'imu', 'stamp', 1000, 0),

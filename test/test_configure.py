@@ -630,3 +630,18 @@ def test_the_low_pass_of_a_track_is_one_of_first_order(decay):
     values = np.random.default_rng(1).normal(9.0, 3.0, (3000, 3))
     expected, _ = lfilter([1.0 - decay], [1.0, -decay], values, axis=0, zi=decay * values[None, 0])
     assert _low_pass(values, decay) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize('severity, step', [('error', 'Correct this where the messages come from'),
+                                            ('warning', 'Record a drive with a standstill')])
+def test_another_drive_is_asked_for_only_where_the_recording_is_sound(severity, step):
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.recordings.remarks import Remark
+    from mems_ins_fusion.reports.configuration import answer
+
+    # given a recording without a yaw, with a remark of that severity
+    drive = SimpleNamespace(findings=(Remark(severity, 'imu/gnss', 'IMU and fixes do not overlap in time'),))
+    result = SimpleNamespace(drives=[drive], mounting=None, wrong=['they do not overlap'], missing=[], left=[])
+    # then only a recording whose messages are sound is said to need turns
+    assert answer(result, ['drive'], 'car.yaml').steps[0].what.startswith(step)

@@ -24,7 +24,7 @@ from mems_ins_fusion.evaluation.comparison import compare, truth_of
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.reports.diagnosis import unexplained_text
+from mems_ins_fusion.reports.diagnosis import _interval, _noise, rounded_value, unexplained_text
 from mems_ins_fusion.reports.effect_words import size
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -277,3 +277,17 @@ def test_what_stays_unexplained_may_be_a_low_pass_that_the_filter_has_no_model_o
     assert 'position along the track that goes with forward acceleration (0.110 m RMS).' in told
     assert told.endswith('may come from a low pass of the velocity, of which the filter corrects the time offset only.'
                          ) == said
+
+
+@pytest.mark.parametrize('added, but', [(True, 'but for gyroscope.noise_density (see What was found)'), (False, '')])
+def test_noise_that_an_effect_changes_is_not_said_to_be_as_given(added, but):
+    # given no noise level that is proven, and an effect whose correction sets a noise density
+    effect = SimpleNamespace(added=added, changes={'gyroscope.noise_density': [0.01] * 3, 'gnss.time_offset': 0.2})
+    page = _noise(SimpleNamespace(explained={}, noise={}, findings=[effect]))
+    # then the page does not say that all noise of corrected.yaml is the given one
+    assert 'corrected.yaml has those that were given' + (f', {but}.' if added else '.') in page
+
+
+def test_people_read_three_digits():
+    assert rounded_value([0.0114833, -0.0], 3) == [0.0115, 0.0] and rounded_value(0.0114833) == 0.01148
+    assert _interval({'low': -3.15472e-7, 'high': 6.29321e-6}) == '-3.15e-7 to 6.29e-6'

@@ -267,7 +267,9 @@ def test_other_bad_input(files, tmp_path, capsys):
     assert "got 'speed=v'" in error('--gnss-columns', 'speed=v')
     assert 'sigma of fixes must be above 0' in error('--gnss-sigma', '0')
     later = write(tmp_path / 'later.csv', 'time,lat,lon,h', gnss_rows(start=T0 + 5000))
-    assert 'do not overlap in time' in error(gnss=later)
+    assert 'do not overlap in time: the fixes begin 5000 s after' in error(gnss=later)
+    years = write(tmp_path / 'years.csv', 'time,lat,lon,h', gnss_rows(start=T0 - 3100 * 86400))
+    assert 'the fixes begin 3100 days before' in error(gnss=years)
     assert 'beyond 90 and 360 deg' in error('--angle-unit', 'rad')
     assert 'not between 1970 and 2038' in error(gnss=write(tmp_path / 'w.csv', 'time,lat,lon', [('9e9', 1, 1)]))
     with pytest.raises(SystemExit) as usage:

@@ -201,6 +201,14 @@ def test_where_no_column_fits_nothing_is_proposed(tmp_path, capsys):
     assert 'name them: --imu-columns "time=TimeMS,ax=?,' in error and 'as it seems' not in error
 
 
+def test_sensor_axes_are_not_proposed_as_a_place(tmp_path, capsys):
+    # given the samples of an IMU in place of fixes
+    imu = save(tmp_path / 'imu.csv', 'time,acc_x [g],acc_y [g],acc_z [g],wx,wy,wz', TIME, *FORCE.T + 0.123456, *RATE.T)
+    assert imported(tmp_path, '--imu', imu, '--gnss', imu, status=2) is None
+    # then no axis is taken for a latitude
+    assert capsys.readouterr().err.endswith('name them: --gnss-columns "time=time,latitude=?,longitude=?"\n')
+
+
 @pytest.mark.parametrize('header, expected', [
     # a unit in a name is not contradicted by the proposal, and what is there by its name stays
     ('TimeUS,fx_g,fy_g,fz_g,p_dps,q_dps,r_dps', '"time=TimeUS,ax=fx_g,ay=fy_g,az=fz_g,wx=p_dps,wy=q_dps,wz=r_dps"\n'),

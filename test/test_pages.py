@@ -24,7 +24,7 @@ from mems_ins_fusion.evaluation.verdict import SAME
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.params_file import yaml_value
-from mems_ins_fusion.recordings.checker import Finding
+from mems_ins_fusion.recordings.checker import Remark
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.sketch import sketch
 from mems_ins_fusion.recordings.writing import write_recording
@@ -134,6 +134,17 @@ def test_outages_that_begin_at_other_fixes_are_said_to_be_so():
     assert 'the outages of the two begin at other fixes' in wrong and 'too few epochs' not in wrong
 
 
+def test_replays_of_different_drives_are_sent_to_the_same_one():
+    # given two replays without one epoch in common, as those of two drives whose folders have the same name
+    error = np.abs(np.random.default_rng(1).standard_normal(50)) + 1.0
+    first, second = result('a', error), result('b', error)
+    later = Series(1000 * 10**9 + np.arange(50) * 10**9, error)
+    second.runs['drive', 'random_walk', 1.0] = later
+    told = answer(first, second, rows_of(first, second))
+    # then another, longer drive is not what is missing
+    assert 'different drives' in told.wrong[0] and told.steps[0].what.startswith('Replay both on the same drive')
+
+
 # the answer
 
 def test_a_filter_with_a_wrong_clock_is_not_called_good(folder):
@@ -154,8 +165,8 @@ def test_the_right_clock_is_called_good(folder):
 def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
     values = table.check({'models': ['gauss_markov'], 'update_intervals': [2.0], 'outage_durations': []})
     comparison = replay(read_recording(folder / 'drive', '/imu/data', '/gps/fix'), values)
-    found = [Finding('error', 'imu', f'9.8 is not {STANDARD_GRAVITY}'), Finding('info', 'gnss', 'all is well'),
-             Finding('warning', 'imu/gnss', 'the clocks differ')]
+    found = [Remark('error', 'imu', f'9.8 is not {STANDARD_GRAVITY}'), Remark('info', 'gnss', 'all is well'),
+             Remark('warning', 'imu/gnss', 'the clocks differ')]
     answer = replay_answer.answer(comparison, found, values, 'drive', 'p.yaml')
     assert answer.grade == 'bad' and answer.headline.startswith('Not usable: /imu/data: 9.8')
     assert f'/imu/data: 9.8 is not {STANDARD_GRAVITY}' in answer.wrong
@@ -165,7 +176,7 @@ def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
     assert not answer.trust
     # diagnose refuses what is certainly wrong: what to do is configure where a parameter cures it, and else to record
     step, = answer.steps
-    assert step.what.startswith('Cure this where the messages come from') and not step.command
+    assert step.what.startswith('Correct this where the messages come from') and not step.command
     found[0] = replace(found[0], settings=('imu.acceleration_unit',))
     step, = replay_answer.answer(comparison, found, values, 'drive', 'p.yaml').steps
     assert step.command == 'python -m mems_ins_fusion configure --bag drive --output configured.yaml'
@@ -174,8 +185,8 @@ def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
 def test_what_a_parameter_would_cure_is_said_first_and_configure_is_what_to_do(folder):
     values = table.check({'models': ['gauss_markov'], 'update_intervals': [2.0], 'outage_durations': []})
     comparison = replay(read_recording(folder / 'drive', '/imu/data', '/gps/fix'), values)
-    gaps = Finding('warning', 'imu', '21 gaps')
-    late = Finding('warning', 'imu/gnss', 'the fixes are 0.27 s early', settings=('gnss.time_offset',))
+    gaps = Remark('warning', 'imu', '21 gaps')
+    late = Remark('warning', 'imu/gnss', 'the fixes are 0.27 s early', settings=('gnss.time_offset',))
     # given a recording with gaps, whose fixes are early
     answer = replay_answer.answer(comparison, [gaps, late], values, 'drive', 'p.yaml')
     assert answer.wrong[:2] == ['/imu/data and /gps/fix: the fixes are 0.27 s early', '/imu/data: 21 gaps']

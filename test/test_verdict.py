@@ -179,14 +179,14 @@ def test_a_headline_does_not_contradict_the_file():
 
 
 def test_what_is_certainly_wrong_makes_a_recording_not_usable():
-    from mems_ins_fusion.recordings.checker import Finding
+    from mems_ins_fusion.recordings.checker import Remark
     from mems_ins_fusion.reports.diagnosis_answer import not_usable
     from mems_ins_fusion.reports.verdict import certainly_wrong
 
     values = {'mechanization': 'strapdown', 'imu_topic': '/imu', 'gnss_topic': '/fix', 'temperature_topic': ''}
-    backwards = Finding('error', 'imu', 'the IMU seems to be mounted backwards: set imu.mounting_rpy to [0.0, 0.0, 3]')
-    dead = Finding('error', 'imu', 'rotation rate x: the same value in every sample', {'axes': 'x'})
-    found = [backwards, dead, Finding('warning', 'gnss', 'gaps')]
+    backwards = Remark('error', 'imu', 'the IMU seems to be mounted backwards: set imu.mounting_rpy to [0.0, 0.0, 3]')
+    dead = Remark('error', 'imu', 'rotation rate x: the same value in every sample', {'axes': 'x'})
+    found = [backwards, dead, Remark('warning', 'gnss', 'gaps')]
     assert certainly_wrong(found, values) == [backwards, dead]
     # a planar filter does without three of the axes
     assert certainly_wrong(found, values | {'mechanization': 'planar'}) == [backwards]
@@ -197,7 +197,7 @@ def test_what_is_certainly_wrong_makes_a_recording_not_usable():
     settable = replace(backwards, settings=('imu.mounting_rpy',))
     (step,), (cure,) = (not_usable([f], values, ['my drive'])[1].steps for f in (settable, dead))
     assert step.command == "python -m mems_ins_fusion configure --bag 'my drive' --output configured.yaml"
-    assert cure.what.startswith('Cure this') and not cure.command
+    assert cure.what.startswith('Correct this') and not cure.command
     # and nothing is said twice
     lines = answer.short()
     assert ' '.join(lines).count('mounted backwards') == 1 and not any(line.startswith('wrong') for line in lines)
@@ -375,3 +375,19 @@ def test_of_an_effect_without_a_known_size_the_range_is_told(parameters, said):
     text = found_text(effect, d)
     assert text.startswith(f'gnss_coloured_noise: {said}: the receiver')
     assert 'gnss.coloured_noise.sigma to 2.0 (it was 0.0), gnss.coloured_noise.tau to 9.3 (it was 60.0)' in text
+
+
+def test_what_a_direct_look_shows_stands_behind_what_it_is():
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_answer import found_text
+
+    # given samples that come twice, against which a noise density is set
+    name = 'accelerometer.noise_density'
+    effect = SimpleNamespace(added=True, changes={name: [0.0114833] * 3}, name='imu_repeats', parameters={},
+                             seen='2 % of the samples repeat. Set the driver to its rate', group=['imu_repeats'])
+    text = found_text(effect, SimpleNamespace(values={name: [0.00262] * 3}, corrected=effect.changes, noise={},
+                                              findings=[effect], better=False, hidden={}))
+    # then the line begins with what it is, and has three digits
+    assert text.startswith('imu_repeats: IMU samples come twice: 2 % of the samples repeat. Set the driver to its')
+    assert 'to [0.0115, 0.0115, 0.0115] (it was [0.00262, 0.00262, 0.00262])' in text

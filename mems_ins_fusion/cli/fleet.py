@@ -66,7 +66,7 @@ def fleet(options: argparse.Namespace, status: list[int]) -> str:
 
 
 def _lines(result, output: str) -> list[str]:
-    from mems_ins_fusion.recordings.findings import count_of
+    from mems_ins_fusion.recordings.remarks import count_of
 
     done, failed, left = (result.count(status) for status in ('done', 'failed', 'open'))
     counts = f'{done} recordings done, {failed} failed, {result.count("duplicate")} twice, {left} left to do'

@@ -61,10 +61,10 @@ def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
     there = np.column_stack([np.interp(at[middle][good], time, part) for part in two.T])
     difference = there - one[middle][good]
     way, length = way[good], length[good, None]
-    velocity, nose = way / length, way / np.linalg.norm(way, axis=1, keepdims=True)
-    left = np.column_stack([nose[:, 1], -nose[:, 0]])
-    design = np.stack([nose, left, -velocity], axis=2)
-    blocks = shares(len(nose))
+    velocity, forward = way / length, way / np.linalg.norm(way, axis=1, keepdims=True)
+    left = np.column_stack([forward[:, 1], -forward[:, 0]])
+    design = np.stack([forward, left, -velocity], axis=2)
+    blocks = shares(len(forward))
     normal = np.array([np.einsum('nij,nik->jk', design[blocks == k], design[blocks == k]) for k in range(BLOCKS)])
     right = np.array([np.einsum('nij,ni->j', design[blocks == k], difference[blocks == k, :2]) for k in range(BLOCKS)])
     if np.linalg.matrix_rank(normal.sum(axis=0)) < 3:

@@ -22,8 +22,8 @@ from mems_ins_fusion.navigation.earth import gravity
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings.checker import check_recording
-from mems_ins_fusion.recordings.findings import ERROR, INFO, SURE, WARNING, Finding
 from mems_ins_fusion.recordings.motion import find_standstill, without_turns
+from mems_ins_fusion.recordings.remarks import ERROR, INFO, SURE, WARNING, Remark
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 #: rad: smaller errors of the yaw of the mounting are estimated by the filter
@@ -47,7 +47,7 @@ VAGUE_ARM = 0.3
 YAW_NOT_SHOWN = 'whether the yaw of imu.mounting_rpy is right does not show'
 
 
-def check(recording: Recording, values: dict) -> list[Finding]:
+def check(recording: Recording, values: dict) -> list[Remark]:
     """All that is wrong or remarkable with `recording` (SI units): by itself, and against the checked parameters
     `values`. An ERROR says that the recording gives no sensible result with these parameters."""
     findings = check_recording(recording, values)
@@ -56,7 +56,7 @@ def check(recording: Recording, values: dict) -> list[Finding]:
     return [*findings, *check_setup(recording, values)]
 
 
-def check_setup(recording: Recording, values: dict) -> list[Finding]:
+def check_setup(recording: Recording, values: dict) -> list[Remark]:
     """Mounting, time offset, antenna and scatter of the fixes that `recording` shows, beside what `values` say of them.
 
     Where the recording shows too little of something, nothing is said of it.
@@ -66,7 +66,7 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
     if fixes is None or len(imu) < 2:
         return findings
     if found is None or not found.yaw_known:
-        findings.append(Finding(INFO, 'imu', f'{YAW_NOT_SHOWN}: too few turns and stops'))
+        findings.append(Remark(INFO, 'imu', f'{YAW_NOT_SHOWN}: too few turns and stops'))
     elif not findings:
         findings.append(_mounting_left(found, values))
     return [*findings, *check_standstills(imu, fixes, values), *_check_offset(found, values),
@@ -82,11 +82,11 @@ def check_standstills(imu: ImuSamples, fixes: Fixes | None, values: dict):
     seen = f'{shown[1]:.0%} of the motion is slow and as quiet as rest'
     wheels = [values[one.topic] for one in aiding(values) if one.kind in (Kind.SPEED, Kind.TWIST) and values[one.topic]]
     if wheels:
-        yield Finding(INFO, 'imu', f'{seen}: standstills count only where {" and ".join(wheels)} '
-                      f'{"do" if len(wheels) > 1 else "does"} not say motion', {'alike': shown[1]})
+        yield Remark(INFO, 'imu', f'{seen}: standstills count only where {" and ".join(wheels)} '
+                     f'{"do" if len(wheels) > 1 else "does"} not say motion', {'alike': shown[1]})
     else:
-        yield Finding(WARNING, 'imu', f'{seen}: set vehicle.zero_velocity: false', {'alike': shown[1]},
-                      ('vehicle.zero_velocity',))
+        yield Remark(WARNING, 'imu', f'{seen}: set vehicle.zero_velocity: false', {'alike': shown[1]},
+                     ('vehicle.zero_velocity',))
 
 
 def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | None]:
@@ -101,7 +101,7 @@ def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | Non
 
 
 def judge_mounting(imu: ImuSamples, fixes: Fixes | None, values: dict,
-                   lag: float | None = None) -> tuple[list[Finding], Mounting | None]:
+                   lag: float | None = None) -> tuple[list[Remark], Mounting | None]:
     """What speaks against the mounting of the checked parameters `values`, and the one that samples in sensor axes (SI
     units) and fixes, by arrival, show; None where not even the up axis shows. Of the last minutes of a live filter,
     too.
@@ -126,25 +126,25 @@ def _check_offset(found: Mounting | None, values: dict):
     """What the parameters leave of time offset and arm."""
     offset = found.offset if found is not None else None
     if offset is None or not offset.shown:
-        yield Finding(INFO, 'imu/gnss', 'a clock offset does not show: too few turns and stops, or noisy fixes')
+        yield Remark(INFO, 'imu/gnss', 'a clock offset does not show: too few turns and stops, or noisy fixes')
         return
     left = {one.name: one for one in remaining_of(found, values)}
     lag, declared = left[TIME_OFFSET], values['gnss.time_offset']
     seen = {'lag_s': offset.lag, 'sigma_s': offset.lag_sigma, 'left_s': lag.value, 'arm_m': offset.arm.tolist(),
             'arm_sigma_m': offset.arm_sigma.tolist(), 'rivals_s': list(offset.rivals)}
     if lag.certain(SMALL_OFFSET, SURE):
-        yield Finding(WARNING, 'imu/gnss', f'the fixes are {_late(lag, "gnss.time_offset", declared)} to '
-                      f'{offset.lag:.3f}', seen, ('gnss.time_offset',))
+        yield Remark(WARNING, 'imu/gnss', f'the fixes are {_late(lag, "gnss.time_offset", declared)} to '
+                     f'{offset.lag:.3f}', seen, ('gnss.time_offset',))
     else:
         beside = f'what is left of the time offset beside gnss.time_offset {declared:g} s'
         what = beside if declared else 'no clock offset to be seen'
-        yield Finding(INFO, 'imu/gnss', f'{what}: {round(lag.value, 3) + 0.0:.3f} +- {lag.sigma:.3f} s', seen)
+        yield Remark(INFO, 'imu/gnss', f'{what}: {round(lag.value, 3) + 0.0:.3f} +- {lag.sigma:.3f} s', seen)
     arm = [left[name] for name in ARM if left[name].sigma < VAGUE_ARM]
     if any(part.certain(SMALL_ARM, SURE) for part in arm):
         words = ', '.join(f'{seen:.2f} +- {sigma:.2f} m {name}' for seen, sigma, name in zip(
             offset.arm, offset.arm_sigma, ARM) if sigma < VAGUE_ARM)
-        yield Finding(WARNING, 'gnss', f'gnss.lever_arm would be {words}',
-                      {'arm_m': offset.arm.tolist(), 'arm_sigma_m': offset.arm_sigma.tolist()}, ('gnss.lever_arm',))
+        yield Remark(WARNING, 'gnss', f'gnss.lever_arm would be {words}',
+                     {'arm_m': offset.arm.tolist(), 'arm_sigma_m': offset.arm_sigma.tolist()}, ('gnss.lever_arm',))
 
 
 def _check_sigma(imu: ImuSamples, fixes: Fixes, found: Mounting | None, values: dict):
@@ -163,18 +163,18 @@ def _check_sigma(imu: ImuSamples, fixes: Fixes, found: Mounting | None, values: 
     elif scatter < _FAR_BETTER * stated:
         doubt = ': the receiver is far better than it says, or its fixes are smoothed'
     if doubt and not values['gnss.adapt_sigma']:
-        yield Finding(WARNING, 'gnss', f'{text}{doubt}', seen, ('gnss.sigma',))
+        yield Remark(WARNING, 'gnss', f'{text}{doubt}', seen, ('gnss.sigma',))
     else:
-        yield Finding(INFO, 'gnss', text, seen)
+        yield Remark(INFO, 'gnss', text, seen)
 
 
-def _mounting_left(found: Mounting, values: dict) -> Finding:
+def _mounting_left(found: Mounting, values: dict) -> Remark:
     """What the parameters leave of a mounting that nothing speaks against."""
     left = [one for one in remaining_of(found, values) if one.name in ANGLES]
     words = ', '.join(f'{one.name} {round(math.degrees(one.value), 1) + 0.0:.1f} +- {math.degrees(one.sigma):.1f}'
                       for one in left)
-    return Finding(INFO, 'imu', f'left beside imu.mounting_rpy, deg: {words}',
-                   {one.name: one.value for one in left} | {f'{one.name}_sigma': one.sigma for one in left})
+    return Remark(INFO, 'imu', f'left beside imu.mounting_rpy, deg: {words}',
+                  {one.name: one.value for one in left} | {f'{one.name}_sigma': one.sigma for one in left})
 
 
 def _check_clocks(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict):
@@ -195,10 +195,10 @@ def _check_pressures(recording: Recording, fixes: Fixes, values: dict):
         shown = {'share': share, 'sigma': left.sigma, 'left': left.value}
         said = f'the {name} has {share:.2f} +- {left.sigma:.2f} of the dynamic pressure'
         if left.certain(SHARE_KNOWN, SURE):
-            yield Finding(WARNING, f'gnss/{name}', f'{said}: set {name}.dynamic to {share:.2f}', shown,
-                          (f'{name}.dynamic',))
+            yield Remark(WARNING, f'gnss/{name}', f'{said}: set {name}.dynamic to {share:.2f}', shown,
+                         (f'{name}.dynamic',))
         else:
-            yield Finding(INFO, f'gnss/{name}', said, shown)
+            yield Remark(INFO, f'gnss/{name}', said, shown)
 
 
 def shares_left(recording: Recording, fixes: Fixes, values: dict) -> dict[str, Remaining]:
@@ -237,41 +237,41 @@ def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, v
     return left
 
 
-def _clock_finding(name: str, left: Remaining, declared: float, against: str) -> Finding:
+def _clock_finding(name: str, left: Remaining, declared: float, against: str) -> Remark:
     topic = f'{"gnss" if against == "fixes" else "imu"}/{name}'
     if not math.isfinite(left.sigma):
-        return Finding(INFO, topic, f'how late the {name} is does not show: too few turns and stops, or noise')
+        return Remark(INFO, topic, f'how late the {name} is does not show: too few turns and stops, or noise')
     shown = {'lag_s': declared + left.value, 'sigma_s': left.sigma, 'left_s': left.value}
     if left.certain(SMALL_OFFSET, SURE):
-        return Finding(WARNING, topic, f'the {name} is {_late(left, f"{name}.time_offset", declared)} to '
-                       f'{declared + left.value:.2f}', shown)
+        return Remark(WARNING, topic, f'the {name} is {_late(left, f"{name}.time_offset", declared)} to '
+                      f'{declared + left.value:.2f}', shown)
     beside = f' beside {name}.time_offset {declared:g} s' if declared else ''
-    return Finding(INFO, topic, f'the {name} is of the time of its stamps{beside}: {left.value:.3f} +- '
-                   f'{left.sigma:.3f} s', shown)
+    return Remark(INFO, topic, f'the {name} is of the time of its stamps{beside}: {left.value:.3f} +- '
+                  f'{left.sigma:.3f} s', shown)
 
 
-def _axes_finding(name: str, left: OdometryAxes, declared: float) -> Finding:
+def _axes_finding(name: str, left: OdometryAxes, declared: float) -> Remark:
     shown = {'yaw_rad': declared + left.yaw, 'sigma_rad': left.sigma, 'left_rad': left.yaw}
     turned = f'{math.degrees(left.yaw):.1f} +- {math.degrees(left.sigma):.1f} deg'
     if abs(left.yaw) > max(SMALL_YAW, SURE * left.sigma):
-        return Finding(WARNING, f'imu/{name}', f'the axes of the {name} are turned to the left by {turned} beside '
-                       f'{name}.yaw: set {name}.yaw to {declared + left.yaw:.3f}', shown, (f'{name}.yaw',))
-    return Finding(INFO, f'imu/{name}', f'the axes of the {name} are those of the vehicle, beside {name}.yaw '
-                   f'{declared:g}: {turned}', shown)
+        return Remark(WARNING, f'imu/{name}', f'the axes of the {name} are turned to the left by {turned} beside '
+                      f'{name}.yaw: set {name}.yaw to {declared + left.yaw:.3f}', shown, (f'{name}.yaw',))
+    return Remark(INFO, f'imu/{name}', f'the axes of the {name} are those of the vehicle, beside {name}.yaw '
+                  f'{declared:g}: {turned}', shown)
 
 
-def _low_pass_finding(name: str, seen: LowPass, declared: float) -> Finding:
+def _low_pass_finding(name: str, seen: LowPass, declared: float) -> Remark:
     shown = {'low_pass_s': seen.tau, 'sigma_s': seen.sigma}
     if seen.certain and abs(seen.tau - declared) > SURE * seen.sigma:
         beside = f' beside {name}.lag {declared:g} s' if declared else ''
-        return Finding(WARNING, f'imu/{name}', f'the {name} comes through a low pass of {seen.tau:.2f} +- '
-                       f'{seen.sigma:.2f} s{beside}, which is a part of its time offset: set {name}.lag to '
-                       f'{seen.tau:.2f}', shown, (f'{name}.lag',))
+        return Remark(WARNING, f'imu/{name}', f'the {name} comes through a low pass of {seen.tau:.2f} +- '
+                      f'{seen.sigma:.2f} s{beside}, which is a part of its time offset: set {name}.lag to '
+                      f'{seen.tau:.2f}', shown, (f'{name}.lag',))
     if seen.certain:
-        return Finding(INFO, f'imu/{name}', f'the {name} comes through a low pass of {seen.tau:.2f} +- '
-                       f'{seen.sigma:.2f} s, as {name}.lag says', shown)
-    return Finding(INFO, f'imu/{name}', f'a low pass of the {name} does not show for certain: {seen.tau:.2f} +- '
-                   f'{seen.sigma:.2f} s, where a body on springs looks like one of up to {MOST_SPRINGS:g} s', shown)
+        return Remark(INFO, f'imu/{name}', f'the {name} comes through a low pass of {seen.tau:.2f} +- '
+                      f'{seen.sigma:.2f} s, as {name}.lag says', shown)
+    return Remark(INFO, f'imu/{name}', f'a low pass of the {name} does not show for certain: {seen.tau:.2f} +- '
+                  f'{seen.sigma:.2f} s, where a body on springs looks like one of up to {MOST_SPRINGS:g} s', shown)
 
 
 def _late(left: Remaining, name: str, declared: float) -> str:
@@ -280,14 +280,14 @@ def _late(left: Remaining, name: str, declared: float) -> str:
             + (f' beside {name} {declared:g} s: set it' if declared else f': set {name}'))
 
 
-def _compare(found: Mounting, values: dict) -> list[Finding]:
+def _compare(found: Mounting, values: dict) -> list[Remark]:
     declared = rotation_from_rpy(*values['imu.mounting_rpy'])
     tilt = math.acos(min(1.0, max(-1.0, float(found.rotation[2] @ declared[2]))))
     tilt_sigma = float(found.sigma[:2].max())
     # the yaw is compared about the up axis found, which a wrong level does not disturb unless it lies on its side
-    nose = found.rotation @ declared[0]
-    yaw = math.atan2(nose[1], nose[0])
-    upright = math.hypot(nose[0], nose[1]) > 0.3
+    forward = found.rotation @ declared[0]
+    yaw = math.atan2(forward[1], forward[0])
+    upright = math.hypot(forward[0], forward[1]) > 0.3
     tilted = tilt > max(SMALL_TILT, SURE * tilt_sigma)
     turned = found.yaw_known and upright and abs(yaw) > max(SMALL_YAW, SURE * float(found.sigma[2]))
     if not tilted and not turned:
@@ -300,15 +300,15 @@ def _compare(found: Mounting, values: dict) -> list[Finding]:
     # without the constraint a vehicle may drive sideways
     wrong_way = turned and abs(yaw) > LARGE and values['vehicle.non_holonomic'] and not _may_reverse(found, yaw)
     severity = ERROR if (tilted and tilt > LARGE) or wrong_way else WARNING
-    return [Finding(severity, 'imu', f'the IMU seems to be mounted {words}: {advice}',
-                    {'tilt': tilt, 'tilt_sigma': tilt_sigma, 'yaw': yaw if found.yaw_known else None,
-                     'yaw_sigma': float(found.sigma[2]), 'mounting_rpy': found.rpy.tolist()},
-                    ('imu.mounting_rpy',))]
+    return [Remark(severity, 'imu', f'the IMU seems to be mounted {words}: {advice}',
+                   {'tilt': tilt, 'tilt_sigma': tilt_sigma, 'yaw': yaw if found.yaw_known else None,
+                    'yaw_sigma': float(found.sigma[2]), 'mounting_rpy': found.rpy.tolist()},
+                   ('imu.mounting_rpy',))]
 
 
 def _may_reverse(found: Mounting, yaw: float) -> bool:
-    """Whether a nose that points backwards may be that of a vehicle that goes backwards: it was never faster than one
-    does that."""
+    """Whether a forward axis that points backwards may be that of a vehicle that goes backwards: it was never faster
+    than one does that."""
     return abs(yaw) > _BACKWARDS and (found.spans is None or float(
         np.percentile(np.abs(found.spans.speed), 95)) < FASTEST_IN_REVERSE)
 

@@ -26,10 +26,10 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.earth import gravity as gravity_at
 from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.parameters.table import defaults, parameters_of
-from mems_ins_fusion.recordings.checker import INFO, Finding, check_recording
+from mems_ins_fusion.recordings.checker import INFO, Remark, check_recording
 from mems_ins_fusion.recordings.errors import RecordingError
-from mems_ins_fusion.recordings.findings import checked_text
 from mems_ins_fusion.recordings.motion import find_standstill, without_turns
+from mems_ins_fusion.recordings.remarks import checked_text
 from mems_ins_fusion.recordings.several import refuse_twice
 from mems_ins_fusion.recordings.sketch import sketch
 from mems_ins_fusion.recordings.units import Units, find_units, in_si
@@ -51,7 +51,7 @@ class Drive:
     noise: Noise | None
     receiver: Receiver | None
     vehicle: Vehicle
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Remark, ...] = ()
     inputs: tuple[InputShown | LeftOut, ...] = ()
 
 

@@ -96,8 +96,8 @@ def _mechanization(drives, mounting) -> Setting:
         return Setting('mechanization', 'planar', ('gravity is not in the accelerometers: strapdown needs it',))
     if mounting is None:
         return Setting('mechanization', 'planar', ('the up axis is not known',))
-    return Setting('mechanization', 'strapdown', ('gravity is in the accelerometers; roads tilt, and planar takes '
-                                                  'that for acceleration',))
+    return Setting('mechanization', 'strapdown', ('the accelerometers measure gravity, too; planar would take '
+                                                  'roads that slope for acceleration',))
 
 
 def _mounting_setting(found: Mounting, told: np.ndarray | None) -> Setting:
@@ -165,9 +165,10 @@ def _arm_settings(offset, told: np.ndarray | None) -> tuple[Setting, Setting]:
     arm = [round(float(part), 2) + 0.0 if there else 0.0 for part, there in zip(offset.arm, known)]
     sigma = max(s if there else min(math.hypot(part, s), ARM_UNKNOWN)
                 for part, s, there in zip(offset.arm[:2], offset.arm_sigma[:2], known))
-    return (Setting(name, arm, (f'from the IMU to the antenna {seen} m forward, left, up{left}', 'a tape is better')),
+    return (Setting(name, arm, (f'from the IMU to the antenna {seen} m forward, left, up{left}',
+                                'a tape measure is better')),
             Setting(f'{name}_sigma', round(float(sigma), 3), (
-                'of forward and left, the larger one, with what is left at zero; of a tape 0.02',)))
+                'the larger one of forward and left, with what was left at zero; a tape measure: 0.02',)))
 
 
 def against_tf(topics: Topics, mounting: Mounting | None):
@@ -224,8 +225,8 @@ def _noise_settings(drives, mounting):
     if mounting is not None and mounting.spans is not None:
         sure = is_sure(float(np.linalg.norm(mounting.bias)), mounting.bias_sigma)
         yield Setting('accelerometer.bias', _significant(mounting.bias, 2) if sure else [0.0], (
-            f'what gravity leaves beside the up axis: {np.linalg.norm(mounting.bias):.2g} +- {mounting.bias_sigma:.2g} '
-            f'm/s^2{"" if sure else at_zero()}',))
+            f'specific force less acceleration and gravity: {np.linalg.norm(mounting.bias):.2g} +- '
+            f'{mounting.bias_sigma:.2g} m/s^2{"" if sure else at_zero()}',))
 
 
 def vehicle_settings(drives):
@@ -233,7 +234,7 @@ def vehicle_settings(drives):
     seen = [vehicle for vehicle in vehicles if vehicle.wheels is not None]
     # the filter's heading is that of the course at the start, so the constraint holds whatever the yaw of the mounting
     yield Setting('vehicle.non_holonomic', all(vehicle.wheels for vehicle in seen), (
-        f'velocity across the nose scatters by {max(v.sideways for v in seen):.2f} m/s; noise of the fixes alone makes '
+        f'velocity to the side scatters by {max(v.sideways for v in seen):.2f} m/s; noise of the fixes alone makes '
         f'{max(v.noise for v in seen):.2f} m/s' if seen else
         'too few turns to see it; the default is that of vehicles on wheels',))
     alike = max((vehicle.alike for vehicle in vehicles if vehicle.alike is not None), default=0.0)

@@ -28,7 +28,7 @@ from mems_ins_fusion.configuration.topics import Topics
 from mems_ins_fusion.filter.measurements.registry import AIDING, TYPES
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters.table import ALL
-from mems_ins_fusion.recordings.findings import SURE
+from mems_ins_fusion.recordings.remarks import SURE
 from mems_ins_fusion.recordings.transforms import TOPIC as TF
 
 _LEAST_ARM_SIGMA = 0.01  # m: of the centre of phase of an antenna
@@ -150,7 +150,7 @@ def _place_settings(name: str, seen: Sequence[InputShown], first: Mapping, told:
         yield Setting(f'{name}.lever_arm', rounded(begin + told, 3), (why,))
     else:
         yield Setting(f'{name}.lever_arm', rounded(begin + np.where(known, arm, 0.0), 2), (
-            f'from {_whence(seen[0])} {text}', 'a tape is better'))
+            f'from {_whence(seen[0])} {text}', 'a tape measure is better'))
     if is_fix:
         left = float(max(sigma[:2].max(), _LEAST_ARM_SIGMA)) if told is None else TF_ARM
         yield Setting(f'{name}.lever_arm_sigma', round(left, 3), (

@@ -40,8 +40,8 @@ from mems_ins_fusion.recordings.aiding import (
     shows_course,
     speed_factor,
 )
-from mems_ins_fusion.recordings.findings import INFO, SURE
 from mems_ins_fusion.recordings.motion import scatter_at_rest, sigmas
+from mems_ins_fusion.recordings.remarks import INFO, SURE
 from mems_ins_fusion.recordings.units import find_units, in_si
 from mems_ins_fusion.samples import Displacements, Fixes, ImuSamples, Pressures, Speeds, Twists
 

@@ -117,11 +117,11 @@ def fix_sigma(fixes: Fixes, path: np.ndarray) -> float:
 class Spans:
     """Motion by the fixes and means of the sensors of each span; arrays over spans.
 
-    stamp: s, its middle by the clock of the fixes. time: s, the same by that of the IMU. speed: m/s along the nose,
-    positive forwards. acceleration: m/s^2 along the nose. centripetal: m/s^2 to the right, speed times turn rate.
+    stamp: s, its middle by the clock of the fixes. time: s, the same by that of the IMU. speed: m/s,
+    forwards. acceleration: m/s^2, forwards. centripetal: m/s^2 to the right, speed times turn rate.
     grade: rad, upwards; NaN where heights do not show it.
     turn: rad/s, clockwise. turn_change: rad/s^2. turn_squared: (rad/s)^2.
-    force: (m, 3) m/s^2 and rate: (m, 3) rad/s in sensor axes. sideways: m/s, of the antenna to the right of the nose.
+    force: (m, 3) m/s^2 and rate: (m, 3) rad/s in sensor axes. sideways: m/s, of the antenna, to the right.
     length: s of an interval; a span has two.
     """
 

@@ -384,14 +384,14 @@ class _Pieces:
         used = self.used[..., None]
         up = ((rotation @ self.rotation[2]) * used).sum(axis=1)
         up /= np.linalg.norm(up, axis=1)[:, None]
-        nose = rotation @ self.rotation[0]
-        nose = nose[:, 1:] + nose[:, :-1]
+        forward = rotation @ self.rotation[0]
+        forward = forward[:, 1:] + forward[:, :-1]
         some = np.where(np.abs(up[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
         first = np.cross(some, up)
         first /= np.linalg.norm(first, axis=1)[:, None]
         second = np.cross(up, first)
         step = np.diff(self.place, axis=1) * used[:, 1:]
-        pointing = np.einsum('wmj,wj->wm', nose, first) + 1j * np.einsum('wmj,wj->wm', nose, second)
+        pointing = np.einsum('wmj,wj->wm', forward, first) + 1j * np.einsum('wmj,wj->wm', forward, second)
         gone = ((step[..., 0] + 1j * step[..., 1]) * pointing.conj() / np.maximum(np.abs(pointing), 1e-9)).sum(axis=1)
         direction = gone / np.maximum(np.abs(gone), 1e-9)
         cosine, sine = direction.real[:, None], direction.imag[:, None]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mems_ins_fusion.recordings.findings import SURE
+from mems_ins_fusion.recordings.remarks import SURE
 
 #: sigmas: a value that differs from zero by less is not set
 SIGNIFICANT = 2.0

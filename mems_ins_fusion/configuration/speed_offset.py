@@ -21,8 +21,8 @@ from mems_ins_fusion.configuration.offset import FEWEST_PIECES, FLOOR, LARGEST, 
 from mems_ins_fusion.configuration.regression import jackknife
 from mems_ins_fusion.configuration.track import Track
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
-from mems_ins_fusion.recordings.findings import SURE
 from mems_ins_fusion.recordings.motion import find_standstill, integral
+from mems_ins_fusion.recordings.remarks import SURE
 from mems_ins_fusion.samples import ImuSamples, Speeds, in_time_order
 
 #: s: an offset with a larger standard deviation is not known

@@ -12,10 +12,10 @@ from mems_ins_fusion.filter.measurements.position import is_fix
 from mems_ins_fusion.filter.measurements.registry import TYPES
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError
-from mems_ins_fusion.recordings.findings import count_of
 from mems_ins_fusion.recordings.messages import TEMPERATURE
 from mems_ins_fusion.recordings.motion import robust_sigma, sigmas
 from mems_ins_fusion.recordings.reading import FIX_TYPES, read_recording
+from mems_ins_fusion.recordings.remarks import count_of
 from mems_ins_fusion.recordings.transforms import places
 from mems_ins_fusion.samples import Fixes, ImuSamples
 

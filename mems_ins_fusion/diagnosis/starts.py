@@ -18,7 +18,7 @@ from ..effects.aiding_lag import AidingLag
 from ..effects.aiding_time_offset import SeveralTimeOffsets
 from ..effects.base import Effect
 from ..effects.registry import effects_of
-from ..recordings.findings import SURE
+from ..recordings.remarks import SURE
 from ..samples import Recording
 
 SAME = 0.05  # s, difference of time offsets below which two starts lead to the same maximum

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..recordings.findings import count_of
+from ..recordings.remarks import count_of
 from ..reports import html
 from ..reports.answer import GOOD, WARNING, Answer, Step
 from ..reports.html import Html, bullets, empty_figure, figure, folded, note, number, paragraph, section, table

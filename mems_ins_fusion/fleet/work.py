@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..evaluation.verdict import NOT_USABLE
 from ..parameters import params_file, table
 from ..recordings.errors import RecordingError, collected_warnings
-from ..recordings.findings import ERROR, WARNING
+from ..recordings.remarks import ERROR, WARNING
 from ..results import ResultBusy, plain, result_folder
 from .failures import OTHER_VERSION, WORKER_DIED, error_id, is_ours, reason
 from .jobs import Job, code, from_dict

@@ -9,7 +9,7 @@ import numpy as np
 from ..filter.measurements.position import is_fix
 from ..filter.measurements.registry import aiding
 from ..recordings.aiding import COMPARED, check_aiding
-from ..recordings.findings import INFO
+from ..recordings.remarks import INFO
 from ..samples import SECOND, Fixes
 
 #: Hz, rate at which samples of each input are kept: the motion of a vehicle has no higher frequencies

@@ -76,7 +76,8 @@ class Preflight:
         declared = self._values['imu.mounting_rpy']
         up = rotation_from_rpy(*declared)[2] @ force / np.linalg.norm(force)
         tilt = math.acos(max(-1.0, min(1.0, float(up))))
-        return (f'imu.mounting_rpy {declared}, gravity {math.degrees(tilt):.0f} deg from the vertical',
+        return (f'with imu.mounting_rpy {declared} the specific force is {math.degrees(tilt):.0f} deg from the '
+                f'vertical (up to {math.degrees(_TILT):.0f} by slopes and turns)',
                 'set imu.mounting_rpy (`configure` finds it from a recording)' if tilt > _TILT else '')
 
     def _clocks(self) -> tuple[str, str]:

@@ -13,7 +13,6 @@ from mems_ins_fusion.filter.measurements.base import Measurement, SensorSettings
 from mems_ins_fusion.filter.measurements.pressure import HIGHEST, LOWEST, SEA_LEVEL, height_of
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.frames import wrap
-from mems_ins_fusion.recordings.findings import ERROR, INFO, SURE, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import (
     SLOWEST_COURSE,
     TIGHTEST_COURSE,
@@ -23,6 +22,7 @@ from mems_ins_fusion.recordings.motion import (
     robust_sigma,
     sigmas,
 )
+from mems_ins_fusion.recordings.remarks import ERROR, INFO, SURE, WARNING, Remark, count_of
 from mems_ins_fusion.samples import (
     Fixes,
     Headings,
@@ -51,7 +51,7 @@ _SAME_UNIT = 0.07
 _LONGEST_CHORD = 10.0  # s, longest chord
 _SHORTEST_CHORD = 10.0  # shortest chord, in standard deviations of a fix
 _SHOWS_COURSE = 1.0  # m/s, smallest speed of a vehicle whose course shows its heading
-_FEWEST = 12  # smallest number of chords for a finding
+_FEWEST = 12  # smallest number of chords for a remark
 _OVERSURE = 3.0  # ratio of the scatter to the stated sigma above which the sigma is reported as too small
 _ALIGNED = 0.9  # cosine of the angle between two velocities above which they have the same direction
 #: largest scatter of the ratio of a speed to that of the fixes, relative to the ratio; for an east velocity it is 1
@@ -94,30 +94,30 @@ class _Chords:
         return _Chords(self.begin[index], self.end[index], self.velocity[index], self.climb[index], self.sigma[index])
 
 
-def check_aiding(measurement: Measurement, samples, fixes: Fixes | None, settings: SensorSettings) -> list[Finding]:
+def check_aiding(measurement: Measurement, samples, fixes: Fixes | None, settings: SensorSettings) -> list[Remark]:
     """Compare `samples` of an input with the fixes, after the `settings` are applied to the samples.
 
-    If a parameter would correct a finding, the first such finding names it with its value. fixes: valid fixes in the
+    If a parameter would correct a remark, the first such remark names it with its value. fixes: valid fixes in the
     order of their stamps, or None. Empty for an input for which there is no check here.
     """
     kind = NAMES.get(measurement.kind)
     if kind not in _CHECKS:
         return []
     declared = measurement.declared(settings, samples)
-    findings = [replace(finding, topic=measurement.name) for finding in _CHECKS[kind](declared, fixes)]
-    parameter, advice = _advice(measurement, findings, declared, settings)
-    for k, finding in enumerate(findings):
-        if advice and finding.severity != INFO and COMPARED & finding.values.keys():
-            findings[k] = replace(finding, message=f'{finding.message}: {advice}',
+    remarks = [replace(remark, topic=measurement.name) for remark in _CHECKS[kind](declared, fixes)]
+    parameter, advice = _advice(measurement, remarks, declared, settings)
+    for k, remark in enumerate(remarks):
+        if advice and remark.severity != INFO and COMPARED & remark.values.keys():
+            remarks[k] = replace(remark, message=f'{remark.message}: {advice}',
                                   settings=(f'{measurement.name}.{parameter}',) if parameter else ())
             break
-    return findings
+    return remarks
 
 
-def _advice(measurement: Measurement, findings: list[Finding], declared, settings: SensorSettings) -> tuple[str, str]:
+def _advice(measurement: Measurement, remarks: list[Remark], declared, settings: SensorSettings) -> tuple[str, str]:
     """Which parameter to set, factor or offset, and the advice in words; each '' where none helps."""
     name = NAMES[measurement.kind]
-    shown = {key: value for finding in findings for key, value in finding.values.items()}
+    shown = {key: value for remark in remarks for key, value in remark.values.items()}
     if name in ('speed', 'twist') and 'ratio' in shown:
         if not shown['ratio'] or np.nanmax(np.abs(forwards(declared).speed)) < _ZERO:
             return '', ('it stays at zero while the vehicle drives; '
@@ -137,12 +137,12 @@ def _advice(measurement: Measurement, findings: list[Finding], declared, setting
     return '', ''
 
 
-def check_speed(speeds: Speeds, fixes: Fixes | None) -> Iterator[Finding]:
+def check_speed(speeds: Speeds, fixes: Fixes | None) -> Iterator[Remark]:
     """Check unit, sign and scale of the speed. fixes: valid fixes in the order of their stamps, or None."""
     yield from _check_forward('speed', speeds, fixes)
 
 
-def check_twist(twists: Twists, fixes: Fixes | None) -> Iterator[Finding]:
+def check_twist(twists: Twists, fixes: Fixes | None) -> Iterator[Remark]:
     """`check_speed` for the forward velocity of an odometry."""
     yield from _check_forward('twist', forwards(twists), fixes)
 
@@ -157,27 +157,27 @@ def forwards(samples: Speeds | Twists) -> Speeds:
 def _check_forward(topic, speeds, fixes):
     yield from _check_present(topic, speeds, speeds.speed, speeds.variance)
     compared = _compare(topic, speeds, speeds.speed, fixes)
-    if isinstance(compared, Finding):
+    if isinstance(compared, Remark):
         yield compared
         return
     mean, chords = compared
     ratio = mean / chords.speed
     yield from _check_ratio(topic, ratio)
     if np.median(ratio) < 0:
-        yield Finding(ERROR, topic, f'the {topic} is negative while the vehicle drives: forward has to be positive, '
-                      'unless all of it was in reverse', {'negative': float((ratio < 0).mean())})
+        yield Remark(ERROR, topic, f'the {topic} is negative while the vehicle drives: forward has to be positive, '
+                     'unless all of it was in reverse', {'negative': float((ratio < 0).mean())})
     yield from _check_sigma(topic, 'm/s', mean - np.median(ratio) * chords.speed,
                             abs(np.median(ratio)) * chords.sigma, speeds.variance)
 
 
 def speed_factor(speeds: Speeds, fixes: Fixes | None) -> float | None:
-    """Factor that converts `speeds` to m/s, positive forwards; 1 if `check_speed` has no finding about their size.
+    """Factor that converts `speeds` to m/s, positive forwards; 1 if `check_speed` has no remark about their size.
 
     None if they are not proportional to the speed of the fixes, NaN without enough fixes in motion. fixes: as for
     `check_speed`.
     """
     compared = _compare('speed', speeds, speeds.speed, fixes)
-    if isinstance(compared, Finding):
+    if isinstance(compared, Remark):
         return np.nan if compared.severity == INFO else None
     mean, chords = compared
     ratio = mean / chords.speed
@@ -188,12 +188,12 @@ def speed_factor(speeds: Speeds, fixes: Fixes | None) -> float | None:
     return (-1.0 if middle < 0 else 1.0) * (1.0 if shown.severity == INFO else 1.0 / abs(middle))
 
 
-def check_velocity(velocities: Velocities, fixes: Fixes | None) -> Iterator[Finding]:
+def check_velocity(velocities: Velocities, fixes: Fixes | None) -> Iterator[Remark]:
     """Check unit and frame of the velocity. fixes: valid fixes in the order of their stamps, or None."""
     variance = 0.5 * (velocities.covariance[:, 0, 0] + velocities.covariance[:, 1, 1])
     yield from _check_present('velocity', velocities, velocities.velocity, variance)
     compared = _compare('velocity', velocities, velocities.velocity, fixes)
-    if isinstance(compared, Finding):
+    if isinstance(compared, Remark):
         yield compared
         return
     mean, chords = compared
@@ -214,34 +214,34 @@ def check_velocity(velocities: Velocities, fixes: Fixes | None) -> Iterator[Find
             text = 'it seems to be in the axes of the vehicle, not east-north-up'
         else:
             text = 'its frame or its stamps are wrong'
-        yield Finding(ERROR, 'velocity', f'the velocity does not point along the track of the fixes: {text}',
-                      {'cosine': right})
+        yield Remark(ERROR, 'velocity', f'the velocity does not point along the track of the fixes: {text}',
+                     {'cosine': right})
         return
     rising = np.std(chords.climb)
     against = np.corrcoef(chords.climb, -mean[:, 2])[0, 1] if rising > 0 and np.std(mean[:, 2]) > 0 else 0.0
     if against < -0.8:
-        yield Finding(ERROR, 'velocity', 'the vertical velocity runs against the heights of the fixes: up has to be '
-                      'positive in the message', {'correlation': float(against)})
+        yield Remark(ERROR, 'velocity', 'the vertical velocity runs against the heights of the fixes: up has to be '
+                     'positive in the message', {'correlation': float(against)})
     yield from _check_sigma('velocity', 'm/s', (horizontal - chords.velocity).ravel(), chords.sigma, variance)
 
 
-def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Finding]:
+def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Remark]:
     """Check sense of rotation and zero of the heading. fixes: valid fixes in the order of their stamps, or None."""
     yield from _check_present('heading', headings, headings.yaw, headings.variance)
     compared = _compare('heading', headings, headings.yaw, fixes, np.unwrap)
-    if isinstance(compared, Finding):
+    if isinstance(compared, Remark):
         yield compared
         return
     mean, chords = compared
     difference, total = mean - chords.course, mean + chords.course
     if _concentration(total) > max(_ALIGNED, _concentration(difference)) and _concentration(difference) < _ALIGNED:
-        yield Finding(ERROR, 'heading', 'the heading turns the other way round than the course of the fixes: clockwise '
-                      'from north instead of counter-clockwise from east (REP 103)?',
-                      {'concentration': _concentration(total)})
+        yield Remark(ERROR, 'heading', 'the heading turns the other way round than the course of the fixes: clockwise '
+                     'from north instead of counter-clockwise from east (REP 103)?',
+                     {'concentration': _concentration(total)})
         return
     if _concentration(difference) < 0.7:
-        yield Finding(ERROR, 'heading', 'the heading does not follow the course of the fixes',
-                      {'concentration': _concentration(difference)})
+        yield Remark(ERROR, 'heading', 'the heading does not follow the course of the fixes',
+                     {'concentration': _concentration(difference)})
         return
     middle = np.angle(np.exp(1j * difference).mean())
     middle = float(wrap(middle + np.median(wrap(difference - middle))))
@@ -251,10 +251,10 @@ def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Finding]:
     values = {'offset_rad': middle, 'sigma_rad': float(sigma)}
     text = f'the heading is {np.degrees(middle):.1f} deg clockwise from the course of the fixes'
     if abs(middle) > max(np.radians(5.0), SURE * sigma):
-        yield Finding(ERROR if abs(middle) > np.radians(45.0) else WARNING, 'heading', f'{text}: antennas or compass '
-                      'are not aligned with the vehicle, or north and east are exchanged', values)
+        yield Remark(ERROR if abs(middle) > np.radians(45.0) else WARNING, 'heading', f'{text}: antennas or compass '
+                     'are not aligned with the vehicle, or north and east are exchanged', values)
     else:
-        yield Finding(INFO, 'heading', text, values)
+        yield Remark(INFO, 'heading', text, values)
     yield from _check_sigma('heading', 'rad', residual, noise, headings.variance)
 
 
@@ -264,7 +264,7 @@ def pressure_factor(pressures: Pressures) -> float | None:
     return next((per for per in PRESSURES.values() if LOWEST <= middle * per <= HIGHEST), None)
 
 
-def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Finding]:
+def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Remark]:
     """Check the unit of the pressure, and whether its heights change like those of the fixes. fixes: valid fixes in the
     order of their stamps, or None."""
     yield from _check_present('pressure', pressures, pressures.pressure, pressures.variance)
@@ -275,27 +275,27 @@ def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Findin
     if not LOWEST <= middle <= HIGHEST:
         unit = next((unit for unit, per in PRESSURES.items() if LOWEST <= middle * per <= HIGHEST), None)
         seems = f'it seems to be in {unit} instead of Pa' if unit else 'no unit makes it an air pressure'
-        yield Finding(ERROR, 'pressure', f'the pressure is {middle:.4g} Pa: {seems}', {'ratio': middle / SEA_LEVEL})
+        yield Remark(ERROR, 'pressure', f'the pressure is {middle:.4g} Pa: {seems}', {'ratio': middle / SEA_LEVEL})
         return
     if finite[0] == finite[-1]:
-        yield Finding(WARNING, 'pressure', 'the pressure is the same in every message', {'count': len(finite)})
+        yield Remark(WARNING, 'pressure', 'the pressure is the same in every message', {'count': len(finite)})
         return
     heights = replace(pressures, pressure=height_of(np.clip(pressures.pressure, LOWEST, HIGHEST)))
     compared = _compare('pressure', heights, heights.pressure, fixes)
-    if isinstance(compared, Finding):
+    if isinstance(compared, Remark):
         yield compared
         return
     mean, chords = compared
     middle = 0.5 * (chords.begin - fixes.stamp[0] + chords.end - fixes.stamp[0])
     height = np.interp(middle, fixes.stamp - fixes.stamp[0], fixes.height)
     if np.std(height) < _CLIMB:
-        yield Finding(INFO, 'pressure', 'no climbs to compare the pressure with')
+        yield Remark(INFO, 'pressure', 'no climbs to compare the pressure with')
         return
     ratio = float(np.cov(mean, height)[0, 1] / np.var(height, ddof=1))
     text = f'by the pressure the vehicle climbs {ratio:.2f} times as much as by the fixes'
     doubtful = not 0.5 < ratio < 1.5
-    yield Finding(WARNING if doubtful else INFO, 'pressure', text + (': it is not that of the air outside' if doubtful
-                  else ''), {'climb': ratio})
+    yield Remark(WARNING if doubtful else INFO, 'pressure', text + (': it is not that of the air outside' if doubtful
+                 else ''), {'climb': ratio})
 
 
 def magnetic_factor(fields: MagneticFields) -> float | None:
@@ -315,7 +315,7 @@ def shows_course(fixes: Fixes | None) -> bool:
     return chords is not None and np.count_nonzero(chords.speed > _SHOWS_COURSE) >= _FEWEST
 
 
-def check_magnetometer(fields: MagneticFields, fixes: Fixes | None) -> Iterator[Finding]:
+def check_magnetometer(fields: MagneticFields, fixes: Fixes | None) -> Iterator[Remark]:
     """Check the unit of the magnetic field, and whether it turns with the vehicle's course. fixes: valid fixes in the
     order of their stamps, or None."""
     topic = 'magnetometer'
@@ -325,26 +325,26 @@ def check_magnetometer(fields: MagneticFields, fixes: Fixes | None) -> Iterator[
     if not _WEAKEST <= middle <= _STRONGEST:
         unit = _field_unit(middle)
         seems = f'it seems to be in {unit} instead of T' if unit else "no unit makes it the earth's field"
-        yield Finding(ERROR, topic, f'the magnetic field is {middle:.4g} T: {seems}', {'ratio': middle / _EARTH})
+        yield Remark(ERROR, topic, f'the magnetic field is {middle:.4g} T: {seems}', {'ratio': middle / _EARTH})
         return
     if (fields.field == fields.field[0]).all():
-        yield Finding(WARNING, topic, 'the magnetic field is the same in every message', {'count': len(fields)})
+        yield Remark(WARNING, topic, 'the magnetic field is the same in every message', {'count': len(fields)})
         return
     compared = _compare(topic, fields, fields.field, fixes)
-    if isinstance(compared, Finding):
+    if isinstance(compared, Remark):
         yield compared
         return
     mean, chords = compared
     rows = np.column_stack([np.ones(len(mean)), np.cos(chords.course), np.sin(chords.course)])
     if np.linalg.eigvalsh(np.cov(rows[:, 1:].T))[0] < _TURNED:
-        yield Finding(INFO, topic, 'the courses of the fixes are too much alike to compare the magnetic field with')
+        yield Remark(INFO, topic, 'the courses of the fixes are too much alike to compare the magnetic field with')
         return
     fitted = np.linalg.lstsq(rows, mean, rcond=None)[0]
     horizontal = float(np.linalg.norm(fitted[1:]) / np.sqrt(2.0))
     scatter = float(np.sqrt(((mean - rows @ fitted) ** 2).sum(axis=1).mean()))
     text = f'{1e6 * horizontal:.3g} uT of the magnetic field turn with the course, {1e6 * scatter:.2g} uT do not'
     wrong = scatter > _DISTURBED * horizontal
-    yield Finding(WARNING if wrong else INFO, topic, text + (
+    yield Remark(WARNING if wrong else INFO, topic, text + (
         ': it is not fixed to the vehicle, or currents and iron disturb it' if wrong else ''),
         {'horizontal': horizontal, 'scatter': scatter})
 
@@ -353,32 +353,32 @@ _CHECKS = {'pressure': check_pressure, 'magnetometer': check_magnetometer, 'spee
            'velocity': check_velocity, 'heading': check_heading, 'twist': check_twist}
 #: name of each kind of measurement
 NAMES = {measurement.kind: measurement.name for measurement in AIDING}
-#: keys of the values of findings that come from a comparison with fixes
+#: keys of the values of remarks that come from a comparison with fixes
 COMPARED = {'climb', 'horizontal', 'ratio', 'negative', 'cosine', 'offset_rad', 'concentration'}
 
 
 def _check_present(topic, samples, value, variance):
-    """Findings on messages without a value, or without a covariance."""
+    """Remarks on messages without a value, or without a covariance."""
     broken = ~_finite(value)
     if broken.any():
         count = int(broken.sum())
-        yield Finding(ERROR if broken.all() else WARNING, topic, f'{count_of(count, "message")} without a {topic}, or '
-                      'not finite', {'count': count})
+        yield Remark(ERROR if broken.all() else WARNING, topic, f'{count_of(count, "message")} without a {topic}, or '
+                     'not finite', {'count': count})
     unknown = ~broken & ~((variance > 0) & np.isfinite(variance))
     if unknown.any():
         count = int(unknown.sum())
-        yield Finding(WARNING, topic, f'{count_of(count, "message")} with an unknown or zero covariance',
-                      {'count': count})
+        yield Remark(WARNING, topic, f'{count_of(count, "message")} with an unknown or zero covariance',
+                     {'count': count})
 
 
 def _compare(topic, samples, value, fixes, prepare=lambda value: value):
-    """Means of `value` over the chords that the samples cover, and these chords; a Finding where there are too few.
+    """Means of `value` over the chords that the samples cover, and these chords; a Remark where there are too few.
 
     prepare: function that is applied to the finite values, in the order of their stamps, before they are averaged.
     """
     chords = _chords(fixes) if fixes is not None else None
     if chords is None or len(chords.begin) < _FEWEST:
-        return Finding(INFO, topic, f'too few fixes move fast enough to compare the {topic} with')
+        return Remark(INFO, topic, f'too few fixes move fast enough to compare the {topic} with')
     order = in_time_order(samples.stamp, _finite(value))
     stamp = samples.stamp[order]
     count = np.searchsorted(stamp, chords.end) - np.searchsorted(stamp, chords.begin)
@@ -387,8 +387,8 @@ def _compare(topic, samples, value, fixes, prepare=lambda value: value):
         enough &= count > 0.5 * np.median(count[enough])
         enough &= (chords.begin >= stamp[0]) & (chords.end <= stamp[-1])
     if enough.sum() < _FEWEST:
-        return Finding(WARNING, topic, f'the {topic} hardly overlaps with the fixes of the moving vehicle: nothing to '
-                       'compare it with', {'chords': int(enough.sum())})
+        return Remark(WARNING, topic, f'the {topic} hardly overlaps with the fixes of the moving vehicle: nothing to '
+                      'compare it with', {'chords': int(enough.sum())})
     chords = chords.select(enough)
     time = (stamp - stamp[0]) * 1e-9
     area = integral(time, prepare(value[order]))
@@ -429,18 +429,18 @@ def _turn_rate(chords: _Chords) -> np.ndarray:
 
 
 def _check_ratio(topic, ratio):
-    """Findings on the ratio (k,) of the measured values to those of the fixes."""
+    """Remarks on the ratio (k,) of the measured values to those of the fixes."""
     middle = float(np.median(np.abs(ratio)))
     sigma = 1.2533 * robust_sigma(np.abs(ratio)) / np.sqrt(len(ratio))
     values = {'ratio': middle, 'sigma': float(sigma)}
     text = f'the {topic} is {middle:.3g} times that of the fixes'
     unit = next((unit for unit, per in SPEED_UNITS.items() if abs(middle * per - 1) < _SAME_UNIT), 'm/s')
     if unit != 'm/s':
-        yield Finding(ERROR, topic, f'{text}: it seems to be in {unit} instead of m/s', values)
+        yield Remark(ERROR, topic, f'{text}: it seems to be in {unit} instead of m/s', values)
     elif abs(middle - 1) > max(0.1, SURE * sigma):
-        yield Finding(WARNING, topic, f'{text}: a wrong scale or unit', values)
+        yield Remark(WARNING, topic, f'{text}: a wrong scale or unit', values)
     else:
-        yield Finding(INFO, topic, text, values)
+        yield Remark(INFO, topic, text, values)
 
 
 def _check_sigma(topic, unit, residual, noise, variance):
@@ -450,8 +450,8 @@ def _check_sigma(topic, unit, residual, noise, variance):
         return
     stated, scatter = float(np.sqrt(np.median(known))), robust_sigma(residual)
     if scatter > _OVERSURE * np.hypot(stated, np.median(noise)):
-        yield Finding(WARNING, topic, f'stated sigma {stated:.3g} {unit}, scatter against the fixes {scatter:.3g} '
-                      f'{unit}: it is too sure of itself, or late', {'stated': stated, 'scatter': scatter})
+        yield Remark(WARNING, topic, f'stated sigma {stated:.3g} {unit}, scatter against the fixes {scatter:.3g} '
+                     f'{unit}: it is too sure of itself, or late', {'stated': stated, 'scatter': scatter})
 
 
 def _finite(value) -> np.ndarray:

@@ -19,7 +19,6 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.aiding import check_aiding
 from mems_ins_fusion.recordings.claims import misplaced_covariances
-from mems_ins_fusion.recordings.findings import ERROR, INFO, SURE, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import (
     UNSTATED_SIGMA,
     find_standstill,
@@ -28,6 +27,7 @@ from mems_ins_fusion.recordings.motion import (
     sigmas,
     up_axis,
 )
+from mems_ins_fusion.recordings.remarks import ERROR, INFO, SURE, WARNING, Remark, count_of, time_in_words
 from mems_ins_fusion.recordings.units import RATE, Units, as_delivered, find_units
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, runs
 from mems_ins_fusion.sensor_errors.models import per_axis
@@ -41,40 +41,40 @@ _SCALE = 0.1  # share of a turn by which gyroscopes may be off; more is reported
 _UNITS = {'imu.acceleration_unit': 'm/s^2', 'imu.rate_unit': 'rad/s'}
 
 
-def check_recording(recording: Recording, values: Mapping = MappingProxyType({})) -> list[Finding]:
-    """The findings on `recording`: for each stream, then for IMU and fixes together. The recording is not changed.
+def check_recording(recording: Recording, values: Mapping = MappingProxyType({})) -> list[Remark]:
+    """The remarks on `recording`: for each stream, then for IMU and fixes together. The recording is not changed.
 
     values: parameters, if there are any: what they already correct, such as a factor of the speed, is not reported.
     `configuration.check` compares the mounting, the clocks, the lever arm and the receiver's scatter with them.
     """
     imu, fixes, seen = recording.imu, recording.gnss, usable(recording)
-    findings = [*_check_stamps('imu', imu), *_check_values(imu)]
+    remarks = [*_check_stamps('imu', imu), *_check_values(imu)]
     good = None
     if fixes is not None:
-        findings += _check_stamps('gnss', fixes)
-        findings += _check_fixes_present(fixes, values.get('gnss.sigma', 0.0))
+        remarks += _check_stamps('gnss', fixes)
+        remarks += _check_fixes_present(fixes, values.get('gnss.sigma', 0.0))
         good = seen.gnss if len(seen.gnss) > 1 else None
     if recording.temperature is not None:
-        findings += _check_stamps('temperature', recording.temperature)
+        remarks += _check_stamps('temperature', recording.temperature)
     streams = recording.streams()
     for measurement in (measurement for measurement in aiding(values) if measurement.name in streams):
         samples = streams[measurement.name]
-        findings += _check_stamps(measurement.name, samples)
-        findings += check_aiding(measurement, samples, good, measurement.settings({**table.defaults(), **values}))
+        remarks += _check_stamps(measurement.name, samples)
+        remarks += check_aiding(measurement, samples, good, measurement.settings({**table.defaults(), **values}))
     imu = seen.imu
     if len(imu) < 2:
-        return findings
+        return remarks
     if good is not None and (imu.stamp.max() < good.stamp[0] or imu.stamp.min() > good.stamp[-1]):
-        return [*findings, _no_overlap(imu, good)]
+        return [*remarks, _no_overlap(imu, good)]
     imu, still = _as_declared(imu, values), find_standstill(imu, good)
-    findings += [*check_units(imu, good, values, still), *_check_rest(imu, still)]
+    remarks += [*check_units(imu, good, values, still), *_check_rest(imu, still)]
     if good is not None:
-        findings += [*_check_claims(good), *_check_frozen(good, imu, still),
+        remarks += [*_check_claims(good), *_check_frozen(good, imu, still),
                      *_check_jumps(good, values.get('gnss.robust_sigma', 0.0) > 0)]
-    return findings
+    return remarks
 
 
-def check_units(imu: ImuSamples, fixes: Fixes | None, values: Mapping, still: np.ndarray) -> list[Finding]:
+def check_units(imu: ImuSamples, fixes: Fixes | None, values: Mapping, still: np.ndarray) -> list[Remark]:
     """Check units, scales and signs of usable samples, by gravity and by the turns in the course of usable fixes. Also
     used for the last minutes of a live filter. still: (n,) bool, at rest."""
     declared = [values.get(name, unit) for name, unit in _UNITS.items()]
@@ -100,40 +100,40 @@ def _check_stamps(topic, samples):
     """Rate, gaps, jitter and order of the header stamps, and their distance from the log time."""
     stamp = samples.stamp
     if len(stamp) < 2:
-        yield Finding(WARNING, topic, f'only {count_of(len(stamp), "message")}', {'count': len(stamp)})
+        yield Remark(WARNING, topic, f'only {count_of(len(stamp), "message")}', {'count': len(stamp)})
         return
     if not stamp.any():
-        yield Finding(ERROR, topic, 'the header stamps are not set (all zero)')
+        yield Remark(ERROR, topic, 'the header stamps are not set (all zero)')
         return
     step = np.diff(stamp)
     if (step < 0).any():
         back = step[step < 0]
         largest = float(-back.min() * 1e-9)
-        yield Finding(WARNING, topic, f'stamps go back {count_of(len(back), "time")}, by up to {largest:.3f} s',
-                      {'count': len(back), 'largest_s': largest})
+        yield Remark(WARNING, topic, f'stamps go back {count_of(len(back), "time")}, by up to {largest:.3f} s',
+                     {'count': len(back), 'largest_s': largest})
     if (step == 0).any():
         repeated = int((step == 0).sum())
-        yield Finding(WARNING, topic, f'{count_of(repeated, "stamp")} repeated from the message before',
-                      {'count': repeated})
+        yield Remark(WARNING, topic, f'{count_of(repeated, "stamp")} repeated from the message before',
+                     {'count': repeated})
     intervals = step[step > 0] * 1e-9
     if not len(intervals):
         return
     interval, jitter = float(np.median(intervals)), robust_sigma(intervals)
     duration = (stamp.max() - stamp.min()) * 1e-9
-    yield Finding(INFO, topic, f'{len(stamp)} messages, {1 / interval:.4g} Hz, {duration:.1f} s; intervals scatter by '
-                  f'{jitter * 1e3:.3g} ms',
-                  {'count': len(stamp), 'rate_hz': 1 / interval, 'jitter_s': jitter})
+    yield Remark(INFO, topic, f'{len(stamp)} messages, {1 / interval:.4g} Hz, {duration:.1f} s; intervals scatter by '
+                 f'{jitter * 1e3:.3g} ms',
+                 {'count': len(stamp), 'rate_hz': 1 / interval, 'jitter_s': jitter})
     if jitter > 0.3 * interval:
-        yield Finding(WARNING, topic, f'stamps are irregular: intervals scatter by {jitter * 1e3:.3g} ms about '
-                      f'{interval * 1e3:.3g} ms', {'jitter_s': jitter})
+        yield Remark(WARNING, topic, f'stamps are irregular: intervals scatter by {jitter * 1e3:.3g} ms about '
+                     f'{interval * 1e3:.3g} ms', {'jitter_s': jitter})
     gaps = np.flatnonzero(step * 1e-9 > GAP * interval)
     if len(gaps):
         longest = gaps[np.argmax(step[gaps])]
         lost = int(np.round(step[gaps] * 1e-9 / interval - 1).sum())
         seconds, at = float(step[longest] * 1e-9), float((stamp[longest] - stamp[0]) * 1e-9)
-        yield Finding(WARNING, topic, f'{count_of(len(gaps), "gap")}, about {count_of(lost, "message")} missing; the '
-                      f'longest lasts {seconds:.2f} s, {at:.1f} s after the start',
-                      {'count': len(gaps), 'missing': lost, 'longest_s': seconds, 'at_s': at})
+        yield Remark(WARNING, topic, f'{count_of(len(gaps), "gap")}, about {count_of(lost, "message")} missing; the '
+                     f'longest lasts {seconds:.2f} s, {at:.1f} s after the start',
+                     {'count': len(gaps), 'missing': lost, 'longest_s': seconds, 'at_s': at})
     yield from _check_latency(topic, samples)
 
 
@@ -144,42 +144,42 @@ def _check_latency(topic, samples):
     text = (f'messages arrive {middle * 1e3:.3g} ms after their stamp '
             f'(1 to 99 %: {low * 1e3:.3g} to {high * 1e3:.3g} ms)')
     if not delay.any():
-        yield Finding(INFO, topic, 'log times equal the stamps: the recording does not show how late messages arrive',
-                      values)
+        yield Remark(INFO, topic, 'log times equal the stamps: the recording does not show how late messages arrive',
+                     values)
         return
     if abs(middle) > 2.0:
-        yield Finding(WARNING, topic, f'stamps and log times are {middle:.2f} s apart: different clocks', values)
+        yield Remark(WARNING, topic, f'stamps and log times are {middle:.2f} s apart: different clocks', values)
     elif low < -0.001:
-        yield Finding(WARNING, topic, f'{text}: some arrive before it', values)
+        yield Remark(WARNING, topic, f'{text}: some arrive before it', values)
     else:
-        yield Finding(INFO, topic, text, values)
+        yield Remark(INFO, topic, text, values)
     if len(delay) > 10 and (samples.received[-1] - samples.received[0]) > 60 * 10**9:
         third = len(delay) // 3
         first, last = delay[:third], delay[-third:]
         drift = float(np.median(last) - np.median(first))
         if abs(drift) > max(0.01, 5.0 * max(robust_sigma(part - np.linspace(0.0, drift / 2, third))
                                             for part in (first, last))):
-            yield Finding(WARNING, topic, f'the delay from stamp to log time drifts by {drift * 1e3:.3g} ms: the '
-                          'clocks run at different speeds', {'drift_s': drift})
+            yield Remark(WARNING, topic, f'the delay from stamp to log time drifts by {drift * 1e3:.3g} ms: the '
+                         'clocks run at different speeds', {'drift_s': drift})
 
 
 def _check_values(imu: ImuSamples):
-    """Findings on samples that are not finite, and on sensors whose values are constant."""
+    """Remarks on samples that are not finite, and on sensors whose values are constant."""
     both = np.hstack([imu.specific_force, imu.angular_rate])
     broken = ~np.isfinite(both).all(axis=1)
     if broken.any():
         first = (imu.stamp[np.argmax(broken)] - imu.stamp[0]) * 1e-9
         count = int(broken.sum())
-        yield Finding(ERROR if broken.all() else WARNING, 'imu', f'{count_of(count, "sample")} not finite (NaN or '
-                      f'infinite), the first {first:.1f} s after the start', {'count': count, 'first_s': float(first)})
+        yield Remark(ERROR if broken.all() else WARNING, 'imu', f'{count_of(count, "sample")} not finite (NaN or '
+                     f'infinite), the first {first:.1f} s after the start', {'count': count, 'first_s': float(first)})
     with np.errstate(invalid='ignore'):
         beyond = ~broken & ((np.abs(both) > LARGEST_IN_ANY_UNIT).any(axis=1) | ~both[:, :3].any(axis=1))
     if beyond.any():
         count, largest = int(beyond.sum()), float(np.abs(both[beyond]).max())
         beyond_any = largest > LARGEST_IN_ANY_UNIT
         words = f'beyond what an IMU delivers (up to {largest:.3g})' if beyond_any else 'with a specific force of zero'
-        yield Finding(ERROR if (broken | beyond).all() else WARNING, 'imu', f'{count_of(count, "sample")} {words}',
-                      {'count': count, 'largest': largest})
+        yield Remark(ERROR if (broken | beyond).all() else WARNING, 'imu', f'{count_of(count, "sample")} {words}',
+                     {'count': count, 'largest': largest})
     broken |= beyond
     if broken.all() or len(imu) < 2:
         return
@@ -187,17 +187,17 @@ def _check_values(imu: ImuSamples):
         constant = np.ptp(both[~broken, columns], axis=0) == 0
         if constant.any():
             axes = ', '.join(_AXES[constant])
-            yield Finding(ERROR, 'imu', f'{name} {axes}: the same value in every sample', {'axes': axes})
+            yield Remark(ERROR, 'imu', f'{name} {axes}: the same value in every sample', {'axes': axes})
     same = (both[1:] == both[:-1]).all(axis=1)
     if same.mean() > 0.01 and not same.all():
         count = int(same.sum())
-        yield Finding(WARNING, 'imu', f'{count_of(count, "sample")} ({same.mean():.0%}) repeat the one before exactly: '
-                      'the driver is faster than the sensor',
-                      {'count': count, 'part': float(same.mean())})
+        yield Remark(WARNING, 'imu', f'{count_of(count, "sample")} ({same.mean():.0%}) repeat the one before exactly: '
+                     'the driver is faster than the sensor',
+                     {'count': count, 'part': float(same.mean())})
 
 
 def _check_fixes_present(fixes: Fixes, declared: float):
-    """Findings on fixes without a position, and on missing sigmas that are not `declared`, m, either."""
+    """Remarks on fixes without a position, and on missing sigmas that are not `declared`, m, either."""
     without = fixes.status < 0
     null = ~without & (fixes.latitude == 0) & (fixes.longitude == 0)
     broken = ~without & ~null & ~is_fix(fixes)
@@ -206,19 +206,20 @@ def _check_fixes_present(fixes: Fixes, declared: float):
                        (null, 'at latitude 0, longitude 0, where receivers without a fix are')):
         if mask.any():
             count = int(mask.sum())
-            yield Finding(ERROR if mask.all() else WARNING, 'gnss', f'{count_of(count, "message")} {text}',
-                          {'count': count})
+            yield Remark(ERROR if mask.all() else WARNING, 'gnss', f'{count_of(count, "message")} {text}',
+                         {'count': count})
     unknown = np.isnan(sigmas(fixes)) & is_fix(fixes)
     if unknown.any() and not declared:
         count = int(unknown.sum())
-        yield Finding(WARNING, 'gnss', f'{count_of(count, "fix" if count == 1 else "fixe")} with an unknown or zero '
-                      'covariance: gnss.default_sigma will be used', {'count': count})
+        yield Remark(WARNING, 'gnss', f'{count_of(count, "fix" if count == 1 else "fixe")} with an unknown or zero '
+                     'covariance: gnss.default_sigma will be used', {'count': count})
 
 
 def _no_overlap(imu, fixes):
     offset = float(fixes.stamp[0] - imu.stamp[0]) * 1e-9
-    return Finding(ERROR, 'imu/gnss', f'IMU and fixes do not overlap in time: the fixes begin {abs(offset):.4g} s '
-                   f'{"after" if offset > 0 else "before"} the IMU by their stamps', {'offset_s': offset})
+    return Remark(ERROR, 'imu/gnss', f'IMU and fixes do not overlap in time: the fixes begin '
+                  f'{time_in_words(abs(offset))} {"after" if offset > 0 else "before"} the IMU by their stamps',
+                  {'offset_s': offset})
 
 
 def _check_gravity(imu, still, expected, units: Units, declared, values):
@@ -232,17 +233,17 @@ def _check_gravity(imu, still, expected, units: Units, declared, values):
         still.mean() * (imu.stamp.max() - imu.stamp.min()) * 1e-9)}
     text = f'the specific force is {magnitude:.4g} m/s^2 {where}, gravity there is {expected:.4g} m/s^2'
     if units.gravity and units.acceleration != declared:
-        yield Finding(ERROR, 'imu', f'{text}: the accelerometers seem to be in {units.acceleration} instead of '
-                      f'{declared} (see imu.acceleration_unit)', seen, ('imu.acceleration_unit',))
+        yield Remark(ERROR, 'imu', f'{text}: the accelerometers seem to be in {units.acceleration} instead of '
+                     f'{declared} (see imu.acceleration_unit)', seen, ('imu.acceleration_unit',))
     elif units.gravity:
         doubtful = abs(magnitude - expected) > 0.3
         text += ': a large bias or scale error' if doubtful else ''
-        yield Finding(WARNING if doubtful else INFO, 'imu', text, seen)
+        yield Remark(WARNING if doubtful else INFO, 'imu', text, seen)
     elif magnitude < 0.2 * expected:
         severity = INFO if values.get('mechanization') == 'planar' else ERROR  # planar needs no gravity
-        yield Finding(severity, 'imu', f'{text}: gravity seems to be removed from it, or the unit is wrong', seen)
+        yield Remark(severity, 'imu', f'{text}: gravity seems to be removed from it, or the unit is wrong', seen)
     else:
-        yield Finding(ERROR, 'imu', f'{text}: unit or scale is wrong', seen)
+        yield Remark(ERROR, 'imu', f'{text}: unit or scale is wrong', seen)
     mounting = values.get('imu.mounting_rpy')
     if mounting is not None and any(mounting):  # which axis points up is said by it
         return
@@ -250,7 +251,7 @@ def _check_gravity(imu, still, expected, units: Units, declared, values):
     name = f'{"+" if up[axis] > 0 else "-"}{_AXES[axis]}'
     upright = abs(up[axis]) > _STRAIGHT
     points = f'sensor axis {name} points up' if upright else f'no sensor axis points up: {name} is nearest'
-    yield Finding(INFO, 'imu', points, {'axis': name})
+    yield Remark(INFO, 'imu', points, {'axis': name})
 
 
 def _check_rest(imu, still):
@@ -258,8 +259,8 @@ def _check_rest(imu, still):
     if still.any():
         bias = imu.angular_rate[still].mean(axis=0)
         if np.abs(bias).max() > 0.05:
-            yield Finding(WARNING, 'imu', f'the gyroscopes show {np.abs(bias).max():.3g} rad/s at rest: a large bias, '
-                          'or deg/s instead of rad/s', {'bias': bias.tolist()})
+            yield Remark(WARNING, 'imu', f'the gyroscopes show {np.abs(bias).max():.3g} rad/s at rest: a large bias, '
+                         'or deg/s instead of rad/s', {'bias': bias.tolist()})
 
 
 def _check_claims(fixes: Fixes):
@@ -267,8 +268,8 @@ def _check_claims(fixes: Fixes):
     seen = misplaced_covariances(fixes)
     if seen is not None:
         where = f'{count_of(abs(seen.late), "message")} {"before" if seen.late > 0 else "after"} its own'
-        yield Finding(WARNING, 'gnss', f'the covariance in a message fits the fix {where}: the driver puts together '
-                      'what belongs to different epochs', {'late_messages': seen.late, 'gain': seen.gain})
+        yield Remark(WARNING, 'gnss', f'the covariance in a message fits the fix {where}: the driver puts together '
+                     'what belongs to different epochs', {'late_messages': seen.late, 'gain': seen.gain})
 
 
 def _check_frozen(fixes, imu, still):
@@ -286,12 +287,12 @@ def _check_frozen(fixes, imu, still):
         longest = int(np.argmax(np.where(run, ends - begins, 0)))
         seconds = (fixes.stamp[ends[longest]] - fixes.stamp[begins[longest]]) * 1e-9
         count = int(run.sum())
-        yield Finding(WARNING, 'gnss', f'the position freezes {count_of(count, "time")} while the vehicle moves, for '
-                      f'up to {seconds:.1f} s', {'count': count, 'longest_s': float(seconds)})
+        yield Remark(WARNING, 'gnss', f'the position freezes {count_of(count, "time")} while the vehicle moves, for '
+                     f'up to {seconds:.1f} s', {'count': count, 'longest_s': float(seconds)})
 
 
 def _check_jumps(fixes, weighed_down):
-    """Findings on steps that no land vehicle makes, beyond five sigma of the receiver. weighed_down: whether the filter
+    """Remarks on steps that no land vehicle makes, beyond five sigma of the receiver. weighed_down: whether the filter
     gives such fixes less weight (gnss.robust_sigma)."""
     stated = sigmas(fixes, UNSTATED_SIGMA)
     time = (fixes.stamp - fixes.stamp[0]) * 1e-9
@@ -310,26 +311,26 @@ def _check_jumps(fixes, weighed_down):
         size = np.linalg.norm(step, axis=1)[jump]
         count = int(jump.sum())
         advice = '; gnss.robust_sigma weighs such fixes down' if weighed_down else ' (see gnss.robust_sigma)'
-        yield Finding(INFO if weighed_down else WARNING, 'gnss', f'the position jumps {count_of(count, "time")}, by up '
-                      f'to {size.max():.3g} m{advice}',
-                      {'count': count, 'largest_m': float(size.max()), 'first_s': float(time[1:][jump][0])})
+        yield Remark(INFO if weighed_down else WARNING, 'gnss', f'the position jumps {count_of(count, "time")}, by up '
+                     f'to {size.max():.3g} m{advice}',
+                     {'count': count, 'largest_m': float(size.max()), 'first_s': float(time[1:][jump][0])})
 
 
 def _check_turns(units: Units, declared: str):
     """Unit and sign of the gyroscopes, from the turns in the course of the fixes. declared: `imu.rate_unit`."""
     if units.steering is None:
-        yield Finding(INFO, 'imu/gnss', 'no turns clear enough to compare the gyroscopes with the course of the fixes')
+        yield Remark(INFO, 'imu/gnss', 'no turns clear enough to compare the gyroscopes with the course of the fixes')
         return
     turned, sigma = (RATE[declared] * value for value in units.steering.turned)
     values = {'ratio': turned, 'sigma': sigma}
     text = f'the gyroscopes turn through {turned:#.3g} times the angle of the course'
     if units.rate != declared:
-        yield Finding(ERROR, 'imu', f'{text}: they seem to be in {units.rate} instead of {declared} (see '
-                      'imu.rate_unit)', values, ('imu.rate_unit',))
+        yield Remark(ERROR, 'imu', f'{text}: they seem to be in {units.rate} instead of {declared} (see '
+                     'imu.rate_unit)', values, ('imu.rate_unit',))
     elif units.steering.scale < 0:
-        yield Finding(ERROR, 'imu', f'{text}: their sign does not fit the accelerometers; the axes are mirrored (not '
-                      'right-handed), or the specific force has the wrong sign', values)
+        yield Remark(ERROR, 'imu', f'{text}: their sign does not fit the accelerometers; the axes are mirrored (not '
+                     'right-handed), or the specific force has the wrong sign', values)
     elif abs(turned - 1) > max(_SCALE, SURE * sigma):
-        yield Finding(WARNING, 'imu', f'{text}: a wrong scale', values)
+        yield Remark(WARNING, 'imu', f'{text}: a wrong scale', values)
     else:
-        yield Finding(INFO, 'imu', text, values)
+        yield Remark(INFO, 'imu', text, values)

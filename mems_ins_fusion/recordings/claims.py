@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mems_ins_fusion.recordings.findings import SURE
 from mems_ins_fusion.recordings.motion import positions, sigmas
+from mems_ins_fusion.recordings.remarks import SURE
 from mems_ins_fusion.samples import Fixes
 
 #: fixes by which a covariance may be late or early: drivers that wait for the next message are wrong by one

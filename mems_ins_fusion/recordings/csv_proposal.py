@@ -6,7 +6,7 @@ import re
 import numpy as np
 
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
-from mems_ins_fusion.recordings.csv_columns import SPELLINGS, time_source, values_of
+from mems_ins_fusion.recordings.csv_columns import IMU_COLUMNS, SPELLINGS, time_source, values_of
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.tables import Table, unit_in_name
 from mems_ins_fusion.recordings.units import ACCELERATION, FASTEST_TURN, RATE
@@ -40,7 +40,9 @@ def proposal(table: Table, wanted, found, given: dict[str, str]) -> str:
                 if unit_in_name(triple[0], {*ACCELERATION, *RATE, *SPELLINGS}) is None:
                     units += f' --{"acceleration" if sensor == "a" else "gyro"}-unit {unit}'
     if 'latitude' in wanted and not {'latitude', 'longitude'} & set(columns):
-        columns |= dict(zip(('latitude', 'longitude'), _place(_numeric(table), columns.get('time'))))
+        of_imu = {table.find(aliases) for aliases in IMU_COLUMNS.values()}
+        numbers = {name: v for name, v in _numeric(table).items() if name not in of_imu}
+        columns |= dict(zip(('latitude', 'longitude'), _place(numbers, columns.get('time'))))
     asked = ('time', *wanted) if len(time) == 1 else wanted
     line = ','.join(f'{name}={columns.get(name) or "?"}' for name in asked)
     words = 'as it seems' if set(columns) - {'time'} else 'name them'

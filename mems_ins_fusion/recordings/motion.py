@@ -170,11 +170,13 @@ def scatter_of_track(track: np.ndarray) -> float:
 
 
 def up_axis(imu: ImuSamples, still: np.ndarray) -> tuple[np.ndarray, float]:
-    """Unit vector up in sensor axes, and the mean magnitude of the specific force; at rest if there is a rest."""
+    """Unit vector up in sensor axes, and the magnitude of the mean specific force; at rest if there is a rest. The z
+    axis and 0 where the mean is zero, or so small that its square is.
+    """
     chosen = still if still.any() else np.isfinite(imu.specific_force).all(axis=1)
     mean = imu.specific_force[chosen].mean(axis=0)
     magnitude = float(np.linalg.norm(mean))
-    return mean / magnitude, magnitude
+    return (mean / magnitude if magnitude else np.array([0.0, 0.0, 1.0])), magnitude
 
 
 @dataclass(frozen=True)

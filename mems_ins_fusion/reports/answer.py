@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ..filter.measurements.registry import AIDING
-from ..recordings.findings import Finding
+from ..recordings.remarks import Remark
 from .html import Html, bullets, command, folded, paragraph
 
 GOOD, WARNING, BAD = 'good', 'warning', 'bad'
@@ -156,10 +156,10 @@ def _part(title: str, texts: list[str]) -> str:
     return f'<h3>{title}</h3>' + (bullets(texts) if len(texts) > 1 else paragraph(texts[0]))
 
 
-def cure(wrong: Sequence[Finding], bags: Sequence[str]) -> Step:
+def cure(wrong: Sequence[Remark], bags: Sequence[str]) -> Step:
     """What to do about what is certainly wrong in recordings. bags: their paths."""
     return let_configure(bags) if any(f.settings for f in wrong) else Step(
-        'Cure this where the messages come from, and record again.')
+        'Correct this where the messages come from, and record again.')
 
 
 def let_configure(bags: Sequence[str]) -> Step:

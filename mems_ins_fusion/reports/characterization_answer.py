@@ -5,8 +5,8 @@ from __future__ import annotations
 import shlex
 
 from ..characterization.characterize import Characterization
-from ..recordings.checker import INFO, Finding
-from ..recordings.findings import checked_text
+from ..recordings.checker import INFO, Remark
+from ..recordings.remarks import checked_text
 from .answer import GOOD, WARNING, YOURS, Answer, Step
 from .colours import MODEL_NAMES
 from .html import number
@@ -23,7 +23,7 @@ SPEED = 15.0
 DISTURBED = 0.05
 
 
-def answer(c: Characterization, checked: list[Finding], topics: dict[str, str], output: str) -> Answer:
+def answer(c: Characterization, checked: list[Remark], topics: dict[str, str], output: str) -> Answer:
     """checked: what the checker found, about `topics`. output: folder of the results, for the command."""
     wrong = [*_about_gravity(c), *_about_length(c), *_about_disturbances(c),
              *(checked_text(f, topics) for f in checked if f.severity != INFO)]

@@ -14,8 +14,8 @@ from ..errors import InputError
 from ..filter.runs.usable import usable_samples
 from ..recordings.checker import check_recording
 from ..recordings.errors import collected_warnings
-from ..recordings.findings import Finding
 from ..recordings.reading import Memory, read_recording
+from ..recordings.remarks import Remark
 from ..recordings.units import in_si
 from ..results import json_text
 from .characterization import report, report_html
@@ -36,7 +36,7 @@ class AtRest:
     grid: Grid
     temperature: tuple[np.ndarray, np.ndarray] | None
     begin: int | None
-    found: list[Finding]
+    found: list[Remark]
     said: list[str]
 
 

@@ -11,8 +11,9 @@ import numpy as np
 from ..configuration.configure import Configuration
 from ..evaluation.verdict import unsettled
 from ..parameters.params_file import yaml_value
+from ..recordings.remarks import ERROR
 from . import html
-from .answer import GOOD, WARNING, Answer, Step, shorten
+from .answer import GOOD, WARNING, Answer, Step, cure, shorten
 from .html import bullets, figure, folded, paragraph, preformatted, section, table
 from .settings import settings_table
 from .verdict import unsettled_text
@@ -82,10 +83,12 @@ def answer(result: Configuration, bags: list[str], output: str) -> Answer:
              Step('Look at how good it is on this recording:', f'python -m mems_ins_fusion replay_node --ros-args '
                   f'--params-file {path} -p bag:={shlex.quote(bags[0])} -p output_dir:=replay'),
              Step('Drive with it:', f'python -m mems_ins_fusion fusion_node --ros-args --params-file {path}')]
+    broken = [remark for drive in result.drives for remark in drive.findings if remark.severity == ERROR]
     if found is None or not found.yaw_known:
-        headline = f'{name} is not complete: the recording does not show how the IMU sits.'
-        steps = [Step('Record a drive with a standstill, right-angled turns and braking, and run configure again; or '
-                      'set imu.mounting_rpy by hand.')]
+        headline = f'{name} is not complete: the recording does not show how the IMU is mounted.'
+        steps = [cure(broken, bags) if broken else Step(
+            'Record a drive with a standstill, right-angled turns and braking, and run configure again; or set '
+            'imu.mounting_rpy by hand.')]
     elif wrong:
         headline = f'{name} can be used; see below what is not right or not known.'
     else:
@@ -96,7 +99,7 @@ def answer(result: Configuration, bags: list[str], output: str) -> Answer:
 def configuration_page(result: Configuration, yaml_text: str, answered: Answer) -> str:
     """The page about all that was looked at."""
     summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(story(result))}'
-    return html.page('What the recording says about the vehicle', [
+    return html.page('Parameters found in the recording', [
         section('Is the file ready?', answered.html(), *_figure(result),
                 settings_table({s.name: s.value for s in result.settings}, evidence=_evidence(result))),
         answered.evidence(), *_mounting(result), _sensors(result),
@@ -110,11 +113,11 @@ def _evidence(result) -> dict[str, str]:
 def _mounting(result):
     found = result.mounting
     if found is None:
-        return [folded('Mounting', paragraph('The recording does not show how the IMU sits.'))]
+        return [folded('Mounting', paragraph('The recording does not show how the IMU is mounted.'))]
     rows = [[way.source, 'roll, pitch', _list(way.angle), _list(way.sigma)] for way in found.level]
     rows += [[way.source, 'yaw', _list(way.angle), _list(way.sigma)] for way in found.heading]
-    parts = [paragraph('Each line is one way to see an angle, as its deviation from what all together say.'),
-             table(['seen by', 'angle', 'deviation, deg', 'sigma, deg'], rows)]
+    parts = [paragraph('Each line is one way to find an angle: its difference from the result of all ways together.'),
+             table(['found by', 'angle', 'difference, deg', 'sigma, deg'], rows)]
     return [folded('Mounting', *parts)]
 
 
@@ -123,10 +126,10 @@ def _figure(result):
     found = result.mounting
     if found is None or found.spans is None:
         return []
-    return [figure(_force_figure(found), 'Specific force in the axes found against what fixes and gyroscopes say of '
-                   'the motion, each dot some seconds of the drive. An IMU that sits as found gives the diagonals on '
-                   'the left top and right bottom, and no slope in the others. What scatters is the road: grades '
-                   'along, crown across.')]
+    return [figure(_force_figure(found), 'Specific force in the axes of the mounting that was found, against the '
+                   'acceleration by fixes and gyroscopes; each dot is some seconds of the drive. If the mounting is '
+                   'right, the dots lie along the diagonal at top left and bottom right, and along the level line in '
+                   'the others. They scatter because roads slope, along and across.')]
 
 
 def _list(angles) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..configuration.check import check
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.findings import Diagnosis
-from ..recordings.findings import Finding
+from ..recordings.remarks import Remark
 from ..recordings.several import refuse_other_vehicles
 from ..results import json_text
 from ..samples import Recording
@@ -26,8 +26,8 @@ class Drive:
 
     path: str
     recording: Recording
-    found: list[Finding]
-    wrong: list[Finding]
+    found: list[Remark]
+    wrong: list[Remark]
     said: list[str]
 
 

@@ -15,7 +15,7 @@ from ..diagnosis.tracing import Candidate
 from ..evaluation.verdict import Verdict
 from ..parameters.params_file import yaml_value
 from ..parameters.table import parameters_of
-from ..recordings.findings import checked_text
+from ..recordings.remarks import checked_text
 from ..recordings.sketch import sketch
 from ..results import plain
 from . import diagnosis_figures as plots
@@ -167,12 +167,12 @@ def changed(d: Diagnosis) -> dict:
 NOTHING = 1e-6
 
 
-def rounded_value(value):
-    """`value` of a parameter to 4 significant digits."""
+def rounded_value(value, digits: int = 4):
+    """`value` of a parameter to `digits` significant digits: 4 in a file, 3 in a sentence."""
     if isinstance(value, (list, tuple)):
         largest = max((abs(v) for v in value), default=0.0)
-        return [rounded_value(v if abs(v) > NOTHING * largest else 0.0) for v in value]
-    return float(f'{value:.4g}') if isinstance(value, float) else value
+        return [rounded_value(v if abs(v) > NOTHING * largest else 0.0, digits) for v in value]
+    return float(f'{value:.{digits}g}') if isinstance(value, float) else value
 
 
 def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
@@ -391,14 +391,16 @@ def _p(value: float) -> str:
 
 
 def _noise(d: Diagnosis) -> html.Html:
+    of_effects = [name for f in d.findings if f.added for name in f.changes if name.endswith('noise_density')]
+    kept = 'corrected.yaml has those that were given' + (
+        f', but for {" and ".join(of_effects)} (see What was found).' if of_effects else '.')
     return html.folded(
         'Noise levels', 'Two things are told apart. The levels with which each fix is explained best by the one before '
         'belong to the search alone, where they keep a badly tuned filter from being taken for a missing effect. Those '
         'in corrected.yaml are chosen by what the filter predicts up to a minute ahead, and only if that is better on '
         'parts of the drive that did not choose.',
         html.table(('noise level', 'factor in the search'), list(d.explained.items()), digits=3),
-        html.table(('noise level', 'factor in corrected.yaml'), list(d.noise.items()), digits=3) if d.noise else
-        'corrected.yaml has those that were given.')
+        html.table(('noise level', 'factor in corrected.yaml'), list(d.noise.items()), digits=3) if d.noise else kept)
 
 
 def _candidates(d: Diagnosis) -> html.Html:
@@ -466,7 +468,7 @@ def _errors(d: Diagnosis) -> html.Html:
 
 
 def _interval(row: dict) -> str:
-    return f'{row["low"]:.3g} to {row["high"]:.3g}' if 'low' in row else ''
+    return f'{html.number(row["low"], 3)} to {html.number(row["high"], 3)}' if 'low' in row else ''
 
 
 def _unexplained(d: Diagnosis) -> html.Html:

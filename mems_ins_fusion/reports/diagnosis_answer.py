@@ -13,8 +13,7 @@ from ..diagnosis.findings import Diagnosis, Finding
 from ..evaluation.verdict import BETTER, CANNOT_TELL, NO, NOT_USABLE, SAME, WORSE, Verdict
 from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
-from ..recordings.checker import Finding as Checked
-from ..recordings.findings import checked_text
+from ..recordings.remarks import Remark, checked_text
 from .answer import BAD, GOOD, WARNING, YOURS, Answer, Step, cure, let_configure, topics_of
 from .diagnosis import capital, changed, cost, origin, rounded_value, this, unexplained_text
 from .effect_words import check, looks_the_same, size, what
@@ -24,7 +23,7 @@ from .verdict import because, change_text, trust_text
 WITH_SIZE = {MOUNTING}
 
 
-def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, bags: Sequence[str],
+def answer(diagnosis: Diagnosis, checked: list[Remark], output: str, bags: Sequence[str],
            params_file: str = YOURS) -> Answer:
     """Whether to use corrected.yaml, what was wrong, what it costs, what remains, what to do.
 
@@ -59,7 +58,7 @@ def _grade(d: Diagnosis, lacking: bool) -> str:
     return BAD if untrue else WARNING if lacking or d.changed else GOOD
 
 
-def not_usable(found: list[Checked], values: dict, bags: Sequence[str]) -> tuple[Verdict, Answer]:
+def not_usable(found: list[Remark], values: dict, bags: Sequence[str]) -> tuple[Verdict, Answer]:
     """The answer where something in the recording is certainly wrong, so that no effect can be estimated from it.
 
     found: of severity error. values: parameters. bags: paths of the recordings, for the command.
@@ -72,14 +71,20 @@ def not_usable(found: list[Checked], values: dict, bags: Sequence[str]) -> tuple
 def found_text(f: Finding, d: Diagnosis) -> str:
     """What was found: what it is, how sure, what corrected.yaml does about it, and what that gains."""
     also = f' {capital(looks_the_same(f.name))}.' if looks_the_same(f.name) and f.parameters else ''
-    return f'{f.name}: {_size(f, d)}: {what(f.name)}.{_group(f, d)}{also}{_change(f, d)}{_saves(f) if d.better else ""}'
+    size_first = not f.seen or f.name in WITH_SIZE
+    said = f'{_size(f, d)}: {what(f.name)}' if size_first else f'{what(f.name)}: {f.seen}'
+    return f'{f.name}: {said}.{_group(f, d)}{also}{_change(f, d)}{_saves(f) if d.better else ""}'
 
 
 def settings_texts(d: Diagnosis) -> list[str]:
     """What corrected.yaml changes besides effects, and why."""
     of_effects = {name for f in d.findings if f.added for name in f.changes} - set(d.noise)
-    return [f'corrected.yaml sets {name} to {yaml_value(value)}: {origin(d, name)}.'
+    return [f'corrected.yaml sets {name} to {_shown(value)}: {origin(d, name)}.'
             for name, value in changed(d).items() if name not in of_effects]
+
+
+def _shown(value) -> str:
+    return yaml_value(rounded_value(value, 3))
 
 
 def _group(f: Finding, d: Diagnosis) -> str:
@@ -103,7 +108,7 @@ def _size(f: Finding, d: Diagnosis) -> str:
 def _change(f: Finding, d: Diagnosis) -> str:
     """The new values, and those before."""
     new = changed(d)
-    said = [f'{name} to {yaml_value(new[name])} (it was {yaml_value(rounded_value(d.values[name]))})'
+    said = [f'{name} to {_shown(new[name])} (it was {_shown(d.values[name])})'
             for name in f.changes if name in new and name not in d.noise]
     return f' corrected.yaml sets {", ".join(said)}.' if said else ''
 
@@ -170,7 +175,7 @@ def _steps(d: Diagnosis, output: str, bags: Sequence[str], params_file: str, set
                           + shlex.quote(f'{output}/corrected.yaml')))
     new = changed(d)
     for f in d.findings if d.changed else ():
-        values = ', '.join(f'{name}: {yaml_value(new[name])}' for name in f.changes if name in new)
+        values = ', '.join(f'{name}: {_shown(new[name])}' for name in f.changes if name in new)
         if f.added and check(f.name):
             steps.append(Step(f'Check on the vehicle: {check(f.name)}' + (f' (corrected.yaml has {values}).' if values
                                                                           else '.')))

@@ -25,9 +25,9 @@ from ..parameters.params_file import yaml_value
 from ..parameters.table import FILTER
 from ..parameters.table import defaults as default_parameters
 from ..recordings.errors import collected_warnings
-from ..recordings.findings import ERROR, Finding, checked_text
 from ..recordings.reading import Memory, read_recording
 from ..recordings.reference_files import read_reference
+from ..recordings.remarks import ERROR, Remark, checked_text
 from ..recordings.several import free_name
 from ..recordings.units import in_si
 from ..results import result_folder
@@ -57,7 +57,7 @@ class Replay:
     content: dict
     comparisons: dict[str, Comparison]
     answers: dict[str, Answer]
-    findings: dict[str, list[Finding]]
+    findings: dict[str, list[Remark]]
 
 
 def replay_recordings(values: dict, progress: Progress = lambda part, what: None, known_as=None) -> Replay:

@@ -21,8 +21,8 @@ from ..evaluation.verdict import (
     decide,
     trusted,
 )
-from ..recordings.checker import INFO, Finding
-from ..recordings.findings import checked_text
+from ..recordings.checker import INFO, Remark
+from ..recordings.remarks import checked_text
 from ..recordings.sketch import fitted_to
 from .answer import BAD, GOOD, WARNING, Answer, Step, cure, let_configure, topics_of
 from .html import number
@@ -56,10 +56,10 @@ def best_model(comparison: Comparison, configured: str) -> str:
     return min(error, key=error.get)
 
 
-def judged(comparison: Comparison, findings: list[Finding], values: dict, where: str = '') -> Verdict:
-    """Whether the filter is better than doing without it: than the last velocity kept, in the outages. The best model
-    speaks for the filter. where: the recording's name, beside others."""
-    wrong = tuple(checked_text(f, topics_of(values)) for f in certainly_wrong(findings, values))
+def judged(comparison: Comparison, remarks: list[Remark], values: dict, where: str = '') -> Verdict:
+    """Whether the filter is better than doing without it: than the last velocity kept, in the outages. It is judged by
+    its best model. where: the recording's name, beside others."""
+    wrong = tuple(checked_text(f, topics_of(values)) for f in certainly_wrong(remarks, values))
     if wrong:
         return Verdict(NOT_USABLE, why=wrong)
     best = best_model(comparison, values['sensor_error_model'])
@@ -79,17 +79,17 @@ def consistencies(comparison: Comparison, values: dict) -> list[Consistency]:
                                              if r.model == best and len(r.outages.begin))]
 
 
-def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: str, params_file: str) -> Answer:
-    """Is the filter good here, what is wrong, what it costs, what to do. The best model speaks for the filter.
+def answer(comparison: Comparison, remarks: list[Remark], values: dict, bag: str, params_file: str) -> Answer:
+    """Is the filter good here, what is wrong, what it costs, what to do, by the best model.
 
     values: parameters. bag, params_file: for the commands.
     """
     best = best_model(comparison, values['sensor_error_model'])
     outages = [r for r in comparison.outages if r.model == best and len(r.outages.begin)]
     # what names a parameter to set comes first: it can be cured
-    told = sorted((f for f in findings if f.severity != INFO), key=lambda f: not f.settings)
+    told = sorted((f for f in remarks if f.severity != INFO), key=lambda f: not f.settings)
     said = [checked_text(f, topics_of(values)) for f in told]
-    verdict, trust = judged(comparison, findings, values), trusted(consistencies(comparison, values))
+    verdict, trust = judged(comparison, remarks, values), trusted(consistencies(comparison, values))
     wrong = [*said, *_refused(comparison, best)]
     if trust.answer == NO and verdict.answer == WORSE:  # else the headline says it
         wrong.insert(0, f'Its sigmas are too small: {too_small_text(trust)}.')
@@ -100,7 +100,7 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
     costs = [*accuracy, *_cost(outages)]
     if verdict.answer == NOT_USABLE:  # what sigmas are worth on wrong data is no answer
         return Answer(grade, _headline(verdict, trust, accuracy), wrong, costs,
-                      [cure(certainly_wrong(findings, values), [bag])])
+                      [cure(certainly_wrong(remarks, values), [bag])])
     steps = _steps(grade, comparison, best, values, bag, params_file)
     if any(f.settings for f in told) and not verdict.fitted_here:
         steps.insert(0, let_configure([bag]))
@@ -302,4 +302,4 @@ def _consistency(comparison: Comparison) -> list[str]:
         return []
     low, high = min(nis.values()), max(nis.values())
     values = number(low, 2) if len(nis) == 1 or high - low < 0.05 else f'{number(low, 2)} to {number(high, 2)}'
-    return [f'The mean NIS at fixes each {interval:g} s is {values} (2 where the filter judges itself rightly).']
+    return [f'The mean NIS at fixes each {interval:g} s is {values} (2 where its sigmas are right).']

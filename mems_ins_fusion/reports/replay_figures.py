@@ -102,6 +102,7 @@ def manoeuvre(comparison: Comparison):
         _as_map(axes, 'box')
         axes.set_xlim(ground.east[at] - WINDOW, ground.east[at] + WINDOW)
         axes.set_ylim(ground.north[at] - WINDOW, ground.north[at] + WINDOW)
+        axes.locator_params(nbins=4)  # as many numbers of four digits as fit below a panel
         axes.label_outer()
     legend_below(figure)
     return figure
@@ -135,7 +136,7 @@ def error_against_time(comparison: Comparison):
                       label=model_name(comparison, model))
         name = model_name(comparison, comparison.models[-1])
         axes.plot(*_peaks(time, 2 * errors.sigma), color='0.6', linewidth=0.8, zorder=1,
-                  label=f"2 sigma by the filter's own account ({name})")
+                  label=f"2 sigma as the filter states it ({name})")
         turns = runs(errors.turning)
         for first, last in turns:
             axes.axvspan(time[first], time[last - 1], color='0.93', linewidth=0, zorder=0,
@@ -197,7 +198,7 @@ def outage_growth(comparison: Comparison):
         axes.plot(outages.time, np.sqrt((outages.growth**2).mean(axis=0)), color=colours.MODELS[result.model],
                   linewidth=1.2 * colours.WIDTHS[result.model], label=f'{name}: RMS error')
         axes.plot(outages.time, 2 * np.sqrt((outages.sigma**2).mean(axis=0)), color=colours.MODELS[result.model],
-                  linewidth=1.0, linestyle='--', label=f"{name}: 2 sigma by the filter's own account")
+                  linewidth=1.0, linestyle='--', label=f"{name}: 2 sigma as the filter states it")
     axes.set_xlabel('time since the last fix, s')
     axes.set_ylabel('horizontal error, m')
     axes.set_xlim(0, longest)

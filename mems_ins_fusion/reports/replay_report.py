@@ -12,7 +12,7 @@ from ..diagnosis.quantity import Quantity
 from ..evaluation.comparison import Comparison, outage_row, run_row
 from ..evaluation.verdict import NOT_USABLE, decide, trusted
 from ..parameters.table import defaults as default_parameters
-from ..recordings.findings import checked_text
+from ..recordings.remarks import checked_text
 from ..recordings.sketch import fitted_to
 from ..results import json_text
 from . import html
@@ -33,13 +33,12 @@ FIGURES = (
     ('track', drawings.track, 'The drive from above. Grey: the truth. Pink: what the filter made of stretches without '
      'fixes, ending at x; the dotted line leads to where the vehicle was.'),
     ('error_against_time', drawings.error_against_time, 'Horizontal error against time. Grey bands: turning. Grey '
-     'line: two standard deviations by the filter\'s own account; about 95 % of the errors should lie below.'),
+     'line: two sigma as the filter states it; about 95 % of the errors should lie below.'),
     ('error_against_interval', drawings.error_against_interval, 'RMS error against the update interval: with 95 % '
      'confidence intervals (left), in turns and on straights (right).'),
     ('manoeuvre', drawings.manoeuvre, 'The turn with the largest error, at each update interval.'),
     ('outage_growth', drawings.outage_growth, 'How the error grows without fixes: RMS over the outages (solid), and '
-     'two standard deviations by the filter\'s own account (dashed). A solid line above its dashed one: the filter '
-     'promises too much.'),
+     'two sigma as the filter states it (dashed). A solid line above its dashed one: the sigma is too small.'),
 )
 
 
@@ -150,7 +149,8 @@ def report_page(comparisons: dict[str, Comparison], values: dict, content: dict,
             folded(f'Over time{of}', charts(replay_charts(comparison, best), 'estimates and signals over time')),
             folded(f'Which sensor error model is best?{of}', bullets(sentences(comparison))),
             folded(f'Position errors{of}', *_run_tables(comparison, content, name), *others[:3]),
-            folded(f'Outages{of}', *_outage_tables(comparison, content, name), *others[3:]),
+            folded(f'Outages{of}', *_outage_tables(comparison, content, name, values['horizon.limit']),
+                   *others[3:]),
             _recording_section(f'Recording{of}', content, name, values)]
         told = [f"{r['time_s']:.0f} s: {r['name']} {r['state']}: {r['text']}" for r in content['online']
                 if r['recording'] == name]
@@ -214,7 +214,7 @@ def _interval(bounds) -> str | None:
     return None if bounds is None else f'{number(bounds[0], 3)} to {number(bounds[1], 3)}'
 
 
-def _outage_tables(comparison: Comparison, content: dict, name: str) -> list[html.Html]:
+def _outage_tables(comparison: Comparison, content: dict, name: str, limit: float) -> list[html.Html]:
     found = [r for r in content['outages'] if r['recording'] == name]
     if not found:
         return [paragraph('No outages were asked for.')]
@@ -231,8 +231,9 @@ def _outage_tables(comparison: Comparison, content: dict, name: str) -> list[htm
     horizon = [[*row[:2], r['announced_s'], r['crossed_s'], r['crossed_early_percent']] for row, r in zip(rows, found)]
     return [table(columns, rows, caption, digits=3), table(
         ['model', 'without fixes, s', 'announced, s', 'crossed, s', 'crossed early, %'], horizon,
-        'Announced: for how long the filter said, at the begin, that its error stays below horizon.limit with 95 %; '
-        'crossed: when it did not (medians; empty: fewer than half did).', digits=3)]
+        'Announced: for how long the filter said, as the outage began, that its error stays below '
+        f'horizon.limit ({limit:g} m) with 95 %; crossed: when the error was larger '
+        '(medians; a dash: in fewer than half of the outages).', digits=3)]
 
 
 def _recording_section(title: str, content: dict, name: str, values: dict):
@@ -264,7 +265,7 @@ def _explanation():
         'too.',
         'Turns: the vehicle turns faster than 5 degrees per second, 2 s before and after included.',
         'NIS, the normalized innovation squared, compares each fix with the filter\'s prediction and its covariance. '
-        'Its mean is 2 for a filter that judges itself rightly.',
+        'Its mean is 2 where the sigmas of the filter are right.',
         'Outages: each is a run of its own in which fixes are withheld once; the error counts from the last fix used.',
         'A difference between models is called significant when the paired differences give an '
         'adjusted p below 5 % (Holm, over all comparisons on the recording).']))

@@ -59,7 +59,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Result:
-    """One replay. models: first the one that speaks for it, which is the best. runs: by (recording, model, interval);
+    """One replay. models: first the one that it is judged by, which is the best. runs: by (recording, model, interval);
     outages: by (recording, model, duration). fitted_here: the recordings that its parameters were fitted to."""
 
     name: str
@@ -153,7 +153,7 @@ def _outages(path: Path, offset: int) -> dict[tuple, Series]:
 def rows_of(first: Result, second: Result) -> list[Row]:
     """All quantities that both have, judged together (Holm). CompareError where there are none.
 
-    Recordings are matched in their order; of the models first those that speak for the two, then each by its name.
+    Recordings are matched in their order; of the models first those that the two are judged by, then each by its name.
     """
     shared = [(m, m) for m in first.models if m in second.models]
     models = list(dict.fromkeys([(first.models[0], second.models[0]), *shared]))
@@ -190,10 +190,10 @@ def _row(recording, models, kind, size, mine: Series, theirs: Series) -> Row | N
 
 
 def judged(first: Result, second: Result, rows: list[Row]) -> Verdict:
-    """Whether the second is better than the first, by the models that speak for them."""
-    several, speak = len(first.recordings) > 1, (first.models[0], second.models[0])
+    """Whether the second is better than the first, by the models that they are judged by."""
+    several, judged_by = len(first.recordings) > 1, (first.models[0], second.models[0])
     changes = [row.change if several else replace(row.change, where='') for row in rows
-               if row.change is not None and row.decides and row.models == speak]
+               if row.change is not None and row.decides and row.models == judged_by]
     verdict = decide(changes)
     # who was fitted to these very data proves nothing by being better
     winner = {BETTER: second, WORSE: first}.get(verdict.answer)
@@ -217,7 +217,9 @@ def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
               for r in (first, second) if r.fitted_here]
     best = {BETTER: second, WORSE: first}.get(verdict.answer)
     trust = '' if best is None else f'{best.name}: {trust_text(trust_of(best))}'
-    step = Step(f'Use {best.name}.' if best is not None else 'Compare them on another drive, or a longer one.')
+    further = 'Replay both on the same drive, or a longer one.' if verdict.shown is None else \
+        'Compare them on another drive, or a longer one.'
+    step = Step(further if best is None else f'Use {best.name}.')
     return Answer(GOOD if best is not None else WARNING, _headline(verdict, names), wrong, [], [step], trust,
                   why=because(verdict))
 
@@ -227,13 +229,13 @@ def _why_unpaired(rows: list[Row]) -> str:
     if all(row.count for row in rows if row.duration is None):
         return ('Without fixes they are not compared: the outages of the two begin at other fixes, as outage_spacing '
                 'or the version that replayed them is another one. Their errors stand in the table.')
-    return ('The two share too few epochs for paired statistics: the errors stand side by side, and a difference may '
-            'be one of the drives.')
+    return ('The two have too few epochs in common for paired statistics, as they are of different drives, or of a '
+            'short one. Their errors stand in the table; a difference may be one of the drives.')
 
 
 def _headline(verdict: Verdict, names) -> str:
     if verdict.shown is None:
-        return f'Cannot tell {names[1]} from {names[0]}: too little was measured by both.'
+        return f'Cannot tell {names[1]} from {names[0]}: too few of their errors are of the same times.'
     proof, turned = (change_text(change, verdict.level) for change in (verdict.shown, verdict.shown.turned))
     if verdict.answer in (BETTER, WORSE):
         return f'{names[1]} is better: {proof}.' if verdict.answer == BETTER else f'{names[0]} is better: {turned}.'

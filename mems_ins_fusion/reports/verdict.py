@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from ..configuration.remaining import TIME_OFFSET, Remaining
 from ..evaluation.verdict import NO, TOO_CAREFUL, YES, Change, Held, Scale, Trust, Verdict
-from ..recordings.findings import ERROR, Finding
+from ..recordings.remarks import ERROR, Remark
 from .html import number
 
 
-def certainly_wrong(findings: Sequence[Finding], values: dict) -> list[Finding]:
+def certainly_wrong(findings: Sequence[Remark], values: dict) -> list[Remark]:
     """What makes a recording not usable with the parameters `values`: nothing sensible can be estimated from it."""
     # a planar filter needs three of the six axes
     return [f for f in findings if f.severity == ERROR and not (values['mechanization'] == 'planar'
