@@ -152,9 +152,13 @@ class StateLayout:
                   for k in range(self.order)]
         return (*MECHANIZATIONS[self.mechanization].STATES, *blocks, *self.extras)
 
+    @cached_property
+    def _indices(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.names)}
+
     def index(self, name: str) -> int:
         """Index of the state `name`, -1 where there is none."""
-        return self.names.index(name) if name in self.names else -1
+        return self._indices.get(name, -1)
 
 
 @njit(_nrt=False)
