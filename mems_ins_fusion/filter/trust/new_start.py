@@ -17,14 +17,12 @@ from ..update import scratch_of
 from . import hypotheses
 from .drift import Drift
 from .hypotheses import Hypothesis
-from .line import Line, add_to_line, begin_line, fit_line
+from .line import FEWEST_ON_LINE, Line, add_to_line, begin_line, fit_line
 from .receiver import Receiver, excess_scatter
 from .scale import reset_scale
 
 #: s: fixes further apart say nothing of the course, as the vehicle may have turned between them
 LONGEST_PAIR = 3.0
-#: fixes refused in a row before they can win: a line through fewer fits anything
-FEWEST_REFUSED = 5
 #: s after which a filter that diverges from refused fixes starts anew from them: innovations that grow by
 #: DIVERGED_SLOPE have then grown by more than fixes scatter
 DIVERGED_AFTER = 2.0
@@ -74,7 +72,7 @@ def note(mem, r, at):
 def _may_start(mem, r):
     """Whether so many fixes have been refused in a row, and for so long, the latest with the state at r, that they are
     no outliers where they agree."""
-    return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED
+    return (mem[r + Nav.REFUSED] >= FEWEST_ON_LINE
             and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED + Line.SINCE] >= DIVERGED_AFTER)
 
 
@@ -100,7 +98,7 @@ def is_due(mem, r, at):
     if mem[r + Hypothesis.START_DUE] != 0.0:
         return True
     lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED + Line.SINCE]
-    if mem[r + Nav.REFUSED] < FEWEST_REFUSED or lasted < min(DIVERGED_AFTER, mem[Head.RECOVERY_TIME]):
+    if mem[r + Nav.REFUSED] < FEWEST_ON_LINE or lasted < min(DIVERGED_AFTER, mem[Head.RECOVERY_TIME]):
         return False
     if lasted < mem[Head.RECOVERY_TIME] and not _diverged(mem, r, mem[at + Event.TIME]):
         return False
