@@ -123,7 +123,6 @@ NEVER = {
     'an offset in time that is not declared': {'measurements.base.UNDECLARED_OFFSET': 0.0},
     # new starts
     'a new heading from the course': {'trust.new_start.LARGEST_YAW_SIGMA': 1e9},
-    'longer without the IMU where it diverges again': {'trust.new_start.AGAIN_WITHIN': 0.0},
     'refused fixes that have to agree': {'trust.new_start.AGREEMENT_SIGMAS': 1e9},
     'divergence that is significant': {'trust.new_start.SIGNIFICANCE': 2.0},
     # noise

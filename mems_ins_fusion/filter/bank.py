@@ -219,13 +219,11 @@ def _start_without_imu(memory, other, r):
         return
     if swapped:
         _swap(memory, other)
-    again, latest = other[r + Nav.DIVERGENCES], other[r + Nav.DIVERGENCE_TIME]
     _copy(memory, other, state_before(memory, before - memory[Head.MAX_DELAY]))
     return_to(other, k)
     start = state_at(other, k)
     for i in range(Hypothesis.IMU_OFFSET, Hypothesis.IMU_VARIANCE + 3):  # with what the latest fix has told
         other[start + i] = memory[r + i]
-    other[start + Nav.DIVERGENCES], other[start + Nav.DIVERGENCE_TIME] = again, latest
     other[start + Hypothesis.FIXES_WRONG] = 0.0
     squared = 0.5 * (memory[r + Hypothesis.IMU_DRIFT] ** 2 + memory[r + Hypothesis.IMU_DRIFT + 1] ** 2)
     learn_from_velocity(other, start, time, squared, time - memory[Bank.WRONG_SINCE])

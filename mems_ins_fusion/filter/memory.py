@@ -60,8 +60,7 @@ class _Nav(NamedTuple):
     VERTICAL_NIS: int = column()
     BRIDGED: int = column()  # s since the last valid IMU sample, LONGEST_BRIDGE at most (prediction.py)
     WEIGHTED: int = column()  # fixes in a row beyond gnss.robust_sigma, the first of them weighted down
-    DIVERGENCES: int = column()  # new starts from refused fixes within a short time (new_start.AGAIN_WITHIN),
-    DIVERGENCE_TIME: int = column()  # and the time of the last one
+    DIVERGENCE_TIME: int = column()  # s, of the latest new start from right fixes, from which it had diverged; 0: none
     # consistency of the innovations with the covariance, see trust/receiver.py
     LONG_PASSED: int = column(3)  # low-passed whitened innovations of the fixes, and their variance were they white
     VARIANCE_FACTOR: int = column()  # realised over expected variance of these innovations; below 1 it counts as 1

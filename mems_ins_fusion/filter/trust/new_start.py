@@ -34,8 +34,6 @@ DIVERGED_SHARE = 0.5
 #: probability below which it is significant that innovations of fixes that only scatter have a slope: one in a thousand
 #: rows of refused fixes
 SIGNIFICANCE = 0.001
-#: s within which a filter that diverges once more is counted as diverging again
-AGAIN_WITHIN = 300.0
 #: sigmas by which refused fixes that agree scatter about a line at most
 AGREEMENT_SIGMAS = 2.0
 #: m more: a vehicle that brakes or turns leaves the line by about so much
@@ -129,8 +127,6 @@ def start_anew(mem, r, at):
         diverged = due == 0.0 and _diverged(mem, r, mem[at + Event.TIME])
         v_n, v_e, drift = _velocity_of_fixes(mem, r, at, diverged)
     if diverged:
-        again = mem[r + Nav.DIVERGENCES] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.DIVERGENCE_TIME] < AGAIN_WITHIN
-        mem[r + Nav.DIVERGENCES] = mem[r + Nav.DIVERGENCES] + 1.0 if again else 1.0
         mem[r + Nav.DIVERGENCE_TIME] = mem[at + Event.TIME]
     mem[r + Drift.TIME] = mem[r + Receiver.FIRST] = 0.0
     # the innovations until now were those of a state that was wrong
