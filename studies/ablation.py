@@ -115,7 +115,6 @@ NEVER = {
     'the second filter where the first follows fixes that drift away': {'trust.fix_drift.FAR_RATIO': 1e9},
     'a new start that the second filter tries': {'trust.new_start.DIVERGED_AFTER': 1e9},
     'penalty of a new start': {'trust.hypotheses.RESTART_PENALTY': 0.0},
-    'prior of a new start': {'trust.hypotheses.DIVERGENCE_PRIOR': 0.0},
     'an IMU that may be wrong': {'trust.hypotheses.IMU_FAULT_PRIOR': -1e4},
     'the ellipse to the far side of the other filter': {'trust.hypotheses.LEAST_PROBABILITY': 2.0},
     'wrong fixes that jump': {'trust.hypotheses.JUMP_RATE': 0.0},

@@ -67,9 +67,6 @@ DRIFT_SIGMA = 3.0
 SIGNIFICANT = 3.0
 #: m^2/s and m^2/s^3, random walks of offset and drift: those of a receiver's filter, not of a vehicle that manoeuvres
 OFFSET_WALK, DRIFT_WALK = 0.002, 0.002
-#: nats, prior: a filter diverges from right fixes, which it then refuses (a wrong heading, a standstill that was none),
-#: once in 50 h
-DIVERGENCE_PRIOR = math.log(FAULT_RATE / 50.0)
 #: nats, prior: an IMU fails once in a hundred hours (loose mounts, kerbs, drivers that mix up axes)
 IMU_FAULT_PRIOR = math.log(1.0 / 3.6e5)
 #: nats: a filter that starts anew from refused fixes is less likely by this at first. It says that the fixes before

@@ -163,7 +163,6 @@ def start_anew(mem, r, at):
     take_course(mem, r, v_n, v_e, drift)
     mem[r + Nav.RECOVERIES] += 1.0
     mem[r + Hypothesis.CONSISTENT] = 1.0
-    hypotheses.add_prior(mem, r, hypotheses.DIVERGENCE_PRIOR)
 
 
 @njit(_nrt=False)
