@@ -68,7 +68,8 @@ from mems_ins_fusion.simulation.simulation import SensorErrors, simulate_recordi
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'mems_ins_fusion.filter'
 #: files whose constants are tried
-FILES = ('trust/*.py', 'update.py', 'apply.py', 'constraints.py', 'advance.py', 'bank.py', 'prediction.py')
+FILES = ('trust/*.py', 'update.py', 'apply.py', 'constraints.py', 'advance.py', 'bank.py', 'prediction.py',
+         'measurements/base.py', 'measurements/acceleration.py')
 FACTORS = (0.25, 4.0)
 #: parameters that switch a mechanism off
 MECHANISMS = {
@@ -76,7 +77,11 @@ MECHANISMS = {
     'adapt_sigma': {'gnss.adapt_sigma': False}, 'adapt_covariance': {'gnss.adapt_covariance': False},
     'adapt_noise': {'imu.adapt_noise': False}, 'learn_drift': {'vehicle.learn_drift': False},
     'standstill': {'vehicle.zero_velocity': False}, 'non_holonomic': {'vehicle.non_holonomic': False},
-    'mounting': {'imu.mounting_sigma': 0.0}, 'rear_axle': {'vehicle.rear_axle_sigma': 0.0}}
+    'mounting': {'imu.mounting_sigma': 0.0}, 'rear_axle': {'vehicle.rear_axle_sigma': 0.0},
+    'scale factors of the gyroscopes': {'gyroscope.scale_sigma': 0.0},
+    'scale factor of a speed': {'speed.scale_sigma': 0.0}, 'offset of a heading': {'heading.offset_sigma': 0.0},
+    'time offsets of inputs': {f'{name}.time_offset_sigma': 0.0 for name in (
+        'speed', 'velocity', 'twist', 'heading', 'magnetometer', 'pressure')}}
 #: others have no parameter: a value of a constant with which they never act
 NEVER = {
     'end of weighting': {'trust.receiver.LONGEST_WEIGHTED': 1e9},
@@ -102,7 +107,52 @@ NEVER = {
     'constraint left out where it is not kept': {'constraints.CONSTRAINT_OFF': 1e9},
     'standstill denied by speed': {'constraints.STILL_SPEED': 1e3},
     'standstill denied by turning': {'constraints.STILL_RATE': 1e3},
-    'a heading in doubt where a gyroscope is off at a standstill': {'trust.gyroscopes.LONGEST_UNSEEN': 0.0}}
+    'a heading in doubt where a gyroscope is off at a standstill': {'trust.gyroscopes.LONGEST_UNSEEN': 0.0},
+    'gyroscopes whose error jumps': {'trust.gyroscopes.JUMP_SIGMAS': 1e9},
+    'the end of such an error': {'trust.gyroscopes.SHORTEST_ERROR': 1e9},
+    # the second filter
+    'earlier begins of wrong fixes': {f'bank.EARLIER[{i}]': 0.0 for i in range(3)},
+    'the second filter where the first follows fixes that drift away': {'trust.fix_drift.FAR_RATIO': 1e9},
+    'a new start that the second filter tries': {'trust.new_start.DIVERGED_AFTER': 1e9},
+    'penalty of a new start': {'trust.hypotheses.RESTART_PENALTY': 0.0},
+    'an IMU that may be wrong': {'trust.hypotheses.IMU_FAULT_PRIOR': -1e4},
+    'the ellipse to the far side of the other filter': {'trust.hypotheses.LEAST_PROBABILITY': 2.0},
+    'wrong fixes that jump': {'trust.hypotheses.JUMP_RATE': 0.0},
+    'wrong fixes that become right': {'trust.hypotheses.FAULT_END_RATE': 0.0},
+    'an offset in time that is not declared': {'measurements.base.UNDECLARED_OFFSET': 0.0},
+    # new starts
+    'a new heading from the course': {'trust.new_start.LARGEST_YAW_SIGMA': 1e9},
+    'refused fixes that have to agree': {'trust.new_start.AGREEMENT_SIGMAS': 1e9},
+    'divergence that is significant': {'trust.new_start.SIGNIFICANCE': 2.0},
+    # noise
+    'noise of the accelerometers, from fixes or a new start': {'trust.force_noise.ASSUMED': 1e-12},
+    'accelerations instead of the constraint where noise hides turns': {'trust.white_noise.COMPARED_OVER': 0.0},
+    'fixes that scatter less than they claim': {'trust.scale.SMALLEST_SCALE': 1.0},
+    'errors of the receiver that last': {'trust.receiver.LARGEST_LASTING': 0.0},
+    'scales that become another one': {'trust.scale.CHANGE_RATE': 0.0},
+    'outliers when a scale is learned': {'trust.scale.OUTLIER_DENSITY': 1e-12},
+    'the least drift of the accelerometers': {'trust.drift.SMALLEST_RATIO': 0.0},
+    'the largest reduction that tells a drift': {'trust.drift.LARGEST_REDUCTION': 1e9},
+    # standstills and motion
+    'standstill denied by fixes': {'trust.standstill.SHORTEST_DISTANCE': 1e9},
+    'standstill denied by wheels': {'trust.standstill.SLOWEST_SPEED': 1e9, 'trust.standstill.SLOWEST_TURN': 1e9},
+    'motion of slow robots that is learned from': {'trust.standstill.CREEPING_TIME': 1e9},
+    'usual speed': {'trust.usual_speed.SHORTEST_OUTAGE': 1e9},
+    'slides again more easily': {'trust.contradiction.SLIDE_AGAIN_RATIO': 40.0},
+    'all fixes used after a slide or a wrong input': {'trust.contradiction.USE_ALL_TIME': 0.0},
+    # other inputs
+    'slips of inputs': {'trust.inputs.SLIPPED': 1e9},
+    'inputs that are far off': {'trust.inputs.GATE': 1e9, 'trust.inputs.NARROW_GATE': 1e9},
+    'displacements of inputs': {'trust.displacement.SIGNIFICANT': 1e9},
+    'inputs that wait for a comparison': {'trust.displacement.COMPARED_SIGMA': 1e9},
+    'inputs that have to be right for some time': {'trust.inputs.READMITTED_AFTER': 0.0},
+    'clocks that jump': {'trust.clock_jump.SIGNIFICANT': 1e9},
+    'lively inputs that stop': {'trust.repeats.LIVELY': 1e9},
+    'errors of a speed that last': {'trust.inputs.SPEED_CORRELATION': 0.0},
+    'outliers that do not end a displacement': {'apply.MOST_OUTLIERS': 0.0},
+    # samples of the IMU
+    'saturated samples': {'trust.imu_faults.LARGE_FORCE': 1e9, 'trust.imu_faults.LARGE_RATE': 1e9},
+    'single axes that are stuck': {'trust.imu_faults.ALWAYS': 2.0}}
 #: settings of vehicle.py, and of measured drives: path within the folder, s between outages, parameters
 SETTINGS = ('car', 'car + speed')
 MEASURED = {'longmont_rtk_drive': ('bag', 60.0, {'imu.mounting_rpy': [0.0, 0.0, np.pi]}),

@@ -457,7 +457,7 @@ class Bank(replay.Replay):
                            past.score + _rate(IMU_WRONG, past.time - member.imu_ended),
                            imu_wrong=True, last=past.time, tried=self.samples[self.place - 1, 0], usual=member.usual,
                            fixes_ended=member.fixes_ended)
-            child.row[[Nav.DIVERGENCES, Nav.DIVERGENCE_TIME]] = 10.0, child.row[Nav.TIME]  # prediction goes straight on
+            child.row[Nav.DIVERGENCE_TIME] = 1e9  # prediction goes straight on
             at = past.place
             for place, record, _ in self._since(past.place):
                 if place == self.place and not with_newest:
@@ -481,7 +481,7 @@ class Bank(replay.Replay):
                 member.tried = time
                 child = member.copy(name='IMU right again', imu_wrong=False, past=(), imu_ended=time,
                                     score=member.score + math.log(ENDS * TRY_AGAIN))
-                child.row[Nav.DIVERGENCES] = 0.0
+                child.row[Nav.DIVERGENCE_TIME] = 0.0
                 self.take_course(child)
                 self.members.append(child)
 

@@ -647,4 +647,4 @@ def test_a_filter_has_not_strayed_from_refused_fixes_that_scatter():
         receiver.position[40:] += 30.0 * receiver.rng.standard_normal(receiver.position[40:].shape)
         memory = receiver.through(mechanization='strapdown')[1]
         # then it is not said of the IMU that it has led astray, nor the velocity taken from two of them
-        assert newest(memory)[Nav.DIVERGENCES] == 0.0
+        assert newest(memory)[Nav.DIVERGENCE_TIME] == 0.0

@@ -90,6 +90,16 @@ def test_copies_follow_each_other_at_first_and_are_rare_later(monkeypatch):
     assert begun == pytest.approx(PERIOD * np.array([*range(1, FIRST + 1), *late]), abs=0.05)
 
 
+def test_an_outage_withholds_what_is_from_satellites():
+    # given inputs of both kinds, one of them without a topic, and a second receiver
+    config = configure({'velocity_topic': '/velocity', 'speed_topic': '/speed', 'pressure_topic': '/pressure',
+                        'mechanization': 'strapdown', 'inputs': ['rear'], 'rear.type': 'fix', 'rear.topic': '/rear'})
+    withheld = {one.name: config.from_satellites[int(config.of_input(number)[0])]
+                for number, one in config.inputs.items() if config.settings_of(number).topic}
+    # then receivers and the velocity that one measures are withheld, and not wheels nor air
+    assert withheld == {'fix': 1.0, 'rear': 1.0, 'velocity': 1.0, 'speed': 0.0, 'pressure': 0.0}
+
+
 def test_a_memory_of_few_samples_is_followed_in_time():
     # given a filter that keeps ten seconds of samples, a third of what a copy takes
     recording = drive(170.0, 3.0)

@@ -39,7 +39,7 @@ from .trust import extrapolation, fix_drift, hypotheses, imu_faults, new_start
 from .trust.extrapolation import Extrapolation
 from .trust.force_noise import learn_from_velocity
 from .trust.hypotheses import Hypothesis
-from .trust.line import Line
+from .trust.line import FEWEST_ON_LINE, Line
 from .trust.receiver import CLAIM_CHANGE, Receiver, excess_scatter
 from .trust.scale import Scale
 from .trust.standstill import Standing
@@ -124,7 +124,7 @@ def compare(memory):
     elif _is_better(memory, other, r):
         _swap(memory, other)
     fixes_wrong = memory[r + Hypothesis.FIXES_WRONG] != 0.0
-    if other[r + Nav.REFUSED] >= new_start.FEWEST_REFUSED:
+    if other[r + Nav.REFUSED] >= FEWEST_ON_LINE:
         other[r + Hypothesis.CONSISTENT] = 0.0
     # a new start must not lose while it may still turn out to be right, without the IMU being wrong, too
     if (fixes_wrong and other[r + Hypothesis.CONSISTENT] != 0.0 and not extrapolated
@@ -219,13 +219,11 @@ def _start_without_imu(memory, other, r):
         return
     if swapped:
         _swap(memory, other)
-    again, latest = other[r + Nav.DIVERGENCES], other[r + Nav.DIVERGENCE_TIME]
     _copy(memory, other, state_before(memory, before - memory[Head.MAX_DELAY]))
     return_to(other, k)
     start = state_at(other, k)
     for i in range(Hypothesis.IMU_OFFSET, Hypothesis.IMU_VARIANCE + 3):  # with what the latest fix has told
         other[start + i] = memory[r + i]
-    other[start + Nav.DIVERGENCES], other[start + Nav.DIVERGENCE_TIME] = again, latest
     other[start + Hypothesis.FIXES_WRONG] = 0.0
     squared = 0.5 * (memory[r + Hypothesis.IMU_DRIFT] ** 2 + memory[r + Hypothesis.IMU_DRIFT + 1] ** 2)
     learn_from_velocity(other, start, time, squared, time - memory[Bank.WRONG_SINCE])

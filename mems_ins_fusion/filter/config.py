@@ -253,6 +253,11 @@ class FilterConfig:
         return {number: place for place, number in enumerate(
             (number for number, settings in self.sensors.items() if settings.topic), start=1)}
 
+    @cached_property
+    def from_satellites(self) -> np.ndarray:
+        """By `Event.INPUT`: 1 for measurements from satellites, which an outage withholds, else 0."""
+        return np.array([float(self.inputs[number].from_satellites) for number in (Kind.POSITION, *self._places)])
+
     @property
     def _axle(self) -> np.ndarray:
         """(3,) m, from the IMU to the middle of the axle that does not steer."""

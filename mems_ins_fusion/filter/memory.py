@@ -60,8 +60,7 @@ class _Nav(NamedTuple):
     VERTICAL_NIS: int = column()
     BRIDGED: int = column()  # s since the last valid IMU sample, LONGEST_BRIDGE at most (prediction.py)
     WEIGHTED: int = column()  # fixes in a row beyond gnss.robust_sigma, the first of them weighted down
-    DIVERGENCES: int = column()  # new starts from refused fixes within a short time (new_start.AGAIN_WITHIN),
-    DIVERGENCE_TIME: int = column()  # and the time of the last one
+    DIVERGENCE_TIME: int = column()  # s, of the latest new start from right fixes, from which it had diverged; 0: none
     # consistency of the innovations with the covariance, see trust/receiver.py
     LONG_PASSED: int = column(3)  # low-passed whitened innovations of the fixes, and their variance were they white
     VARIANCE_FACTOR: int = column()  # realised over expected variance of these innovations; below 1 it counts as 1
@@ -152,9 +151,13 @@ class StateLayout:
                   for k in range(self.order)]
         return (*MECHANIZATIONS[self.mechanization].STATES, *blocks, *self.extras)
 
+    @cached_property
+    def _indices(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.names)}
+
     def index(self, name: str) -> int:
         """Index of the state `name`, -1 where there is none."""
-        return self.names.index(name) if name in self.names else -1
+        return self._indices.get(name, -1)
 
 
 @njit(_nrt=False)

@@ -214,8 +214,9 @@ class Fix(Measurement):
         r, reasons, warnings = empty(Kind.POSITION if self.is_plain else Kind.PLACE, n), {}, {}
         r[:, Event.LATITUDE], r[:, Event.LONGITUDE], r[:, Event.HEIGHT] = fixes.latitude, fixes.longitude, fixes.height
         r[:, Event.STATUS] = fixes.status
-        covariance, kinds = np.array(fixes.covariance, dtype=float), np.array(fixes.covariance_type, dtype=np.int64)
-        usable, stated = np.empty((2, n), dtype=bool)
+        covariance = np.ascontiguousarray(fixes.covariance, dtype=float)
+        kinds = np.ascontiguousarray(fixes.covariance_type, dtype=np.int64)
+        usable, stated = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
         if not _judge(r, covariance, kinds, settings.sigma, settings.default_sigma, usable, stated):
             return r, reasons, warnings
         position = [Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT, Event.STATUS]

@@ -70,26 +70,27 @@ def follow(state, stamp, values, restart_gap, step_back, codes):
 
 @njit(_nrt=False)
 def check_stamps(records, stamp, newest, last, late, epoch, latest, most_ahead, codes):
-    """Check the stamps of measurements and write their times to the records. Returns the last valid stamp, ns.
+    """Check the stamps of measurements and write their times to the records. Returns the last valid stamp, ns, and how
+    many measurements are not valid.
 
     records (n, Event.SIZE). stamp (n,) ns. newest (n,): ns, stamp of the last IMU sample before each. last: ns, last
     valid stamp before these; -1: none. late: ns, time offset of the stamps. epoch: ns. latest, most_ahead: s by which a
     measurement may be older and newer than the newest sample. codes (n,), input and output: 0 for a valid measurement.
     """
+    flagged = 0
     for i in range(len(records)):
-        if codes[i] != 0:
-            continue
-        if stamp[i] == last:
+        if codes[i] == 0 and stamp[i] == last:
             codes[i] = TWIN
-            continue
-        last = stamp[i]
-        records[i, Event.TIME] = (stamp[i] - late - epoch) * 1e-9
-        ahead = (stamp[i] - late - newest[i]) * 1e-9
-        if ahead > most_ahead:
-            codes[i] = STAMPED_AHEAD
-        elif -ahead > latest:
-            codes[i] = STAMPED_LATE
-    return last
+        elif codes[i] == 0:
+            last = stamp[i]
+            records[i, Event.TIME] = (stamp[i] - late - epoch) * 1e-9
+            ahead = (stamp[i] - late - newest[i]) * 1e-9
+            if ahead > most_ahead:
+                codes[i] = STAMPED_AHEAD
+            elif -ahead > latest:
+                codes[i] = STAMPED_LATE
+        flagged += codes[i] != 0
+    return last, flagged
 
 
 class Intake:
@@ -164,11 +165,12 @@ class Intake:
         for i in reasons:
             codes[i] = NO_MEASUREMENT
         stamp = np.array(samples.stamp, dtype=np.int64)
-        self._last[kind] = check_stamps(records, stamp, newest, self._last[kind], late, epoch, self._latest,
-                                        LATEST + max(-offset, 0.0), codes)
-        used = (codes == 0).nonzero()[0]
-        if len(used) < len(records) or warnings:
+        self._last[kind], flagged = check_stamps(records, stamp, newest, self._last[kind], late, epoch, self._latest,
+                                                 LATEST + max(-offset, 0.0), codes)
+        used = np.arange(len(records))
+        if flagged or warnings:
             self._explain(kind, codes, stamp, newest, late, reasons, warnings)
+            used = np.flatnonzero(codes == 0)
             records = records[used]
         records[:, Event.INPUT:Event.INPUT_END] = self._of_input(kind)
         return used, records

@@ -79,6 +79,7 @@ class FusionFilter(FilterStatus):
         self._none, self._log = np.zeros(0, dtype=np.int64), np.zeros((0, Event.SIZE))
         self._fix = Fixes(*np.zeros((2, 1), dtype=np.int64), *np.zeros((3, 1)), np.zeros((1, 3, 3)),
                           *np.zeros((2, 1), dtype=np.int64))
+        self._covariance = self._fix.covariance.ravel()  # the same numbers
         self._answer, self._before = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
         self._using_fixes = True
         self._max_gap = round(config.imu.max_gap * 1e9)
@@ -210,7 +211,7 @@ class FusionFilter(FilterStatus):
         if self._using_fixes:
             fix = self._fix
             fix.stamp[0], fix.latitude[0], fix.longitude[0], fix.height[0] = stamp, latitude, longitude, height
-            fix.covariance[0] = np.reshape(covariance, (3, 3))
+            self._covariance[:] = covariance if len(covariance) == 9 else np.ravel(covariance)
             fix.status[0], fix.covariance_type[0] = status, covariance_type
             self._add(Kind.POSITION, fix)
 

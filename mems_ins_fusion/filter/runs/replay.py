@@ -129,8 +129,6 @@ class Replay(Intake):
                 self.inputs[kind] = samples
             elif samples is not None:
                 self.say('warning', f'{measurement.topic} is empty: {measurement.name} not used')
-        #: numbers of the inputs that an outage withholds
-        self.withheld = [kind for kind, measurement in config.inputs.items() if measurement.from_satellites]
         # a measurement that arrived at the same time as a sample is processed after the sample
         self.arrival = {kind: np.searchsorted(imu.received, samples.received, side='right')
                         for kind, samples in self.inputs.items()}
@@ -253,7 +251,7 @@ class Replay(Intake):
         time = samples[:, 0]
         outages = [(b, d) for b, d in zip(self.begin, np.broadcast_to(self.duration, len(self.begin)).tolist())
                    if len(kept) and time[kept[0]] <= (b - epoch) * 1e-9 <= time[-1]]
-        withheld = np.isin(events.kind, self.withheld)
+        withheld = self._are_withheld(events)
         forks = []
         for b, _ in outages:
             later = withheld & (events.record[:, Event.TIME] > (b - epoch) * 1e-9)
@@ -276,6 +274,10 @@ class Replay(Intake):
             rows, coasted, announced = branches[i]
             self.branches.append(Stretch(index[kept[rows]], coasted, begin, duration, announced))
         self.stretches.append(Stretch(index[kept], states))
+
+    def _are_withheld(self, events: Events) -> np.ndarray:
+        """Which of the events an outage withholds."""
+        return self.config.from_satellites[events.record[:, Event.INPUT].astype(int)] != 0.0
 
     def _keep_constraints(self, memory, work: Playback, index) -> None:
         """Run to the last sample and keep those at which a constraint was applied, before the memory drops them."""

@@ -141,7 +141,7 @@ class _SmoothedOutages(_Smoothing):
 
     def _smooth(self, memory, samples, index, events: Events, epoch: int) -> None:
         kept, time = np.flatnonzero(self.keep[index]), samples[:, 0]
-        work, withheld = self._work(samples, events), np.isin(events.kind, self.withheld)
+        work, withheld = self._work(samples, events), self._are_withheld(events)
         for b in self.begin:
             begin = (b - epoch) * 1e-9
             if not len(kept) or not time[kept[0]] <= begin <= time[-1]:

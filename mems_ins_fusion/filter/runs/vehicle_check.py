@@ -47,7 +47,8 @@ def vehicle_warnings(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray
     if config.vehicle.zero_velocity_sigma and _is_adrift(fixes):
         texts.append(f'{config.gnss.topic}: the fixes move on while {topic} shows a standstill '
                      '(vehicle.zero_velocity): a boat needs config/boat.yaml')
-    fixes = fixes[np.isin(fixes[:, Event.VERDICT], (Verdict.USED, Verdict.WEIGHTED))]
+    verdicts = fixes[:, Event.VERDICT]
+    fixes = fixes[(verdicts == Verdict.USED) | (verdicts == Verdict.WEIGHTED)]
     if config.vehicle.lateral_sigma:
         turn = mounting_angles(row, config.layout)[0]
         prior = config.parameters['imu.mounting_sigma']
@@ -124,6 +125,8 @@ def found_time_offsets(memory: np.ndarray, config: FilterConfig) -> dict[int, st
 def _is_adrift(fixes: np.ndarray) -> bool:
     """Whether ADRIFT refused fixes in a row have moved on while the filter was at rest."""
     refused = fixes[:, Event.VERDICT] == Verdict.REFUSED
+    if refused.sum() < ADRIFT:  # the usual case, without the rest
+        return False
     refused &= np.hypot(fixes[:, Event.V_N], fixes[:, Event.V_E]) < STILL_SPEED
     off = np.hypot(fixes[:, Event.Z_N], fixes[:, Event.Z_E])
     gone = [np.ptp(off[k - ADRIFT:k]) for k in range(ADRIFT, len(fixes) + 1) if refused[k - ADRIFT:k].all()]

@@ -17,7 +17,6 @@ from ..config import FilterConfig
 from ..memory import (
     Event,
     Head,
-    Kind,
     Nav,
     Sample,
     covariance,
@@ -62,12 +61,12 @@ class Withheld:
         self._scale = np.zeros(Scale.CHANGING_SIZE)
         # two states, two between samples
         self._small = NewestState(config, 4, 2, config.event_capacity)
-        self._withheld = _from_satellites(config)
+        self._withheld = config.from_satellites
         self._count = 0  # of copies so far
-        self._slot, self._place = 0.0, (0.0, 0.0)  # s, begin of the PERIOD of the copy, and rad, where it began
+        self._place = 0.0, 0.0  # rad, where the copy began
         self._followed = -1  # number of the sample up to which the copy has followed; -1: there is no copy
-        # s: time at which the copy is compared, and at which the next one begins
-        self._age = self._next = self.due = math.inf
+        # s: begin of the PERIOD of the copy, or of the next one where there is none; and when the copy is compared
+        self._slot = self._age = self.due = math.inf
 
     @property
     def realised(self) -> float:
@@ -76,21 +75,22 @@ class Withheld:
 
     def begin(self, time: float) -> None:
         """A filter has begun, whose newest sample is at `time`, s; what is known stays."""
-        self._followed, self._next = -1, (math.floor(time / PERIOD) + 1.0) * PERIOD
-        self.due = self._next
+        self._followed = -1
+        self._slot = self.due = (math.floor(time / PERIOD) + 1.0) * PERIOD
 
     def stop(self) -> None:
         """Have no more copies."""
-        self._followed, self._next, self.due = -1, math.inf, math.inf
+        self._followed = -1
+        self._slot = self.due = math.inf
 
     def before(self, time: float, memory: np.ndarray) -> None:
         """Do what is due before the sample at `time`, s, of the filter with `memory`."""
         if self._followed >= 0:
             self._go_on(time, memory)
-        if self._followed < 0 and time >= self._next:
+        if self._followed < 0 and time >= self._slot:
             self._copy(time, memory)
         if self._followed < 0:
-            self.due = self._next
+            self.due = self._slot
         else:
             self._age = next(self._slot + age for age in AGES if self._slot + age > time)
             self.due = min(self._age, time + _held(memory))
@@ -100,14 +100,17 @@ class Withheld:
         self._followed, self._place = int(memory[Head.SAMPLES]), self._latitude_longitude(newest_row(memory))
         self._count += 1
         self._slot = math.floor(time / PERIOD) * PERIOD
-        self._next = self._slot + PERIOD * (1 if self._count < FIRST else APART)
 
     def _go_on(self, time: float, memory: np.ndarray) -> None:
         """Have the copy follow the filter with `memory`, and compare both where that is due."""
         complete = follow(self._small.memory, memory, self._followed, self._withheld)
         if complete and time >= self._age:
             self._compare(memory)
-        self._followed = int(memory[Head.SAMPLES]) if complete and time < self._slot + AGES[-1] else -1
+        if complete and time < self._slot + AGES[-1]:
+            self._followed = int(memory[Head.SAMPLES])
+        else:
+            self._followed = -1
+            self._slot += PERIOD * (1 if self._count < FIRST else APART)
 
     def _compare(self, memory: np.ndarray) -> None:
         """Learn from the difference between the copy and the filter with `memory`, at the time that is due."""
@@ -146,12 +149,3 @@ def _held(memory: np.ndarray) -> float:
         return samples
     since = time_of(memory, newest) - memory[event_at(memory, 0) + Event.TIME]
     return min(samples, 0.25 * memory[Head.EVENT_CAPACITY] * max(since, 0.0) / count)
-
-
-def _from_satellites(config: FilterConfig) -> np.ndarray:
-    """Whether measurements with an `Event.INPUT` are from satellites, (k,)."""
-    withheld = np.ones(1 + len(config.sensors))
-    for kind, measurement in config.inputs.items():
-        if kind != Kind.POSITION and config.settings_of(kind).topic:
-            withheld[int(config.of_input(kind)[0])] = measurement.from_satellites
-    return withheld

@@ -28,6 +28,7 @@ from mems_ins_fusion.compiled import njit
 from ..measurements import acceleration
 from ..measurements.base import UNDECLARED_OFFSET
 from ..memory import NAV, ROW, Event, Head, Nav, Verdict, element_at, velocity_state, velocity_variance
+from .scale import OUTLIER_SHARE
 
 #: of a state
 Hypothesis = ROW.place(
@@ -55,8 +56,6 @@ START_ANEW, START_WITHOUT_IMU = 1.0, 2.0
 FAULT_RATE = 1.0 / 3600.0
 #: 1/s: rate at which such a fault ends, after 20 s
 FAULT_END_RATE = 1.0 / 20.0
-#: share of the fixes of a receiver without a fault that are outliers
-OUTLIER_SHARE = 0.01
 #: 1/s: rate at which wrong fixes jump to another offset. Chosen, not measured
 JUMP_RATE = 1.0 / 20.0
 #: logarithm of the range, metres to kilometres, of a fix that may be anywhere: it is as likely 10 to 20 m off as 100 to
@@ -68,9 +67,6 @@ DRIFT_SIGMA = 3.0
 SIGNIFICANT = 3.0
 #: m^2/s and m^2/s^3, random walks of offset and drift: those of a receiver's filter, not of a vehicle that manoeuvres
 OFFSET_WALK, DRIFT_WALK = 0.002, 0.002
-#: nats, prior: a filter diverges from right fixes, which it then refuses (a wrong heading, a standstill that was none),
-#: once in 50 h
-DIVERGENCE_PRIOR = math.log(FAULT_RATE / 50.0)
 #: nats, prior: an IMU fails once in a hundred hours (loose mounts, kerbs, drivers that mix up axes)
 IMU_FAULT_PRIOR = math.log(1.0 / 3.6e5)
 #: nats: a filter that starts anew from refused fixes is less likely by this at first. It says that the fixes before

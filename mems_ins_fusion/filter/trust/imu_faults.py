@@ -69,17 +69,17 @@ FROZEN_TIME = 0.3
 FEWEST_STUCK = 5.0
 #: share of the samples: the digits of axes that change more rarely are coarse
 ALWAYS = 0.9
-#: s: a filter that has diverged from fixes that were right does not use the IMU for so long, twice as long each
-#: further time. Longer than a fault that passes (a kerb, a driver that restarts); with 60 s errors are as large, and
-#: the filter is without an IMU for twice as long
+#: s: a filter that has diverged from fixes that were right does not use the IMU for so long. Longer than a fault that
+#: passes (a kerb, a driver that restarts); with 60 s errors are as large, and the filter is without an IMU for twice as
+#: long
 WRONG_TIME = 30.0
 
 
 @njit(_nrt=False)
 def is_wrong(mem, r, time):
     """Whether the fixes till the state at r have shown that the IMU is wrong at `time`, s."""
-    times = mem[r + Nav.DIVERGENCES]
-    return times >= 1.0 and time - mem[r + Nav.DIVERGENCE_TIME] < WRONG_TIME * 2.0 ** (times - 1.0)
+    diverged = mem[r + Nav.DIVERGENCE_TIME]
+    return diverged != 0.0 and time - diverged < WRONG_TIME
 
 
 @njit(_nrt=False)

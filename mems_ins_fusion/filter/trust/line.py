@@ -22,6 +22,8 @@ class _Line(NamedTuple):
 
 
 Line = _Line()
+#: positions through which a line tells something at least: one through fewer fits anything
+FEWEST_ON_LINE = 5.0
 
 
 @njit(_nrt=False)

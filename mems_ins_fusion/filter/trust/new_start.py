@@ -17,14 +17,12 @@ from ..update import scratch_of
 from . import hypotheses
 from .drift import Drift
 from .hypotheses import Hypothesis
-from .line import Line, add_to_line, begin_line, fit_line
+from .line import FEWEST_ON_LINE, Line, add_to_line, begin_line, fit_line
 from .receiver import Receiver, excess_scatter
 from .scale import reset_scale
 
 #: s: fixes further apart say nothing of the course, as the vehicle may have turned between them
 LONGEST_PAIR = 3.0
-#: fixes refused in a row before they can win: a line through fewer fits anything
-FEWEST_REFUSED = 5
 #: s after which a filter that diverges from refused fixes starts anew from them: innovations that grow by
 #: DIVERGED_SLOPE have then grown by more than fixes scatter
 DIVERGED_AFTER = 2.0
@@ -36,8 +34,6 @@ DIVERGED_SHARE = 0.5
 #: probability below which it is significant that innovations of fixes that only scatter have a slope: one in a thousand
 #: rows of refused fixes
 SIGNIFICANCE = 0.001
-#: s within which a filter that diverges once more is counted as diverging again
-AGAIN_WITHIN = 300.0
 #: sigmas by which refused fixes that agree scatter about a line at most
 AGREEMENT_SIGMAS = 2.0
 #: m more: a vehicle that brakes or turns leaves the line by about so much
@@ -74,7 +70,7 @@ def note(mem, r, at):
 def _may_start(mem, r):
     """Whether so many fixes have been refused in a row, and for so long, the latest with the state at r, that they are
     no outliers where they agree."""
-    return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED
+    return (mem[r + Nav.REFUSED] >= FEWEST_ON_LINE
             and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED + Line.SINCE] >= DIVERGED_AFTER)
 
 
@@ -100,7 +96,7 @@ def is_due(mem, r, at):
     if mem[r + Hypothesis.START_DUE] != 0.0:
         return True
     lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED + Line.SINCE]
-    if mem[r + Nav.REFUSED] < FEWEST_REFUSED or lasted < min(DIVERGED_AFTER, mem[Head.RECOVERY_TIME]):
+    if mem[r + Nav.REFUSED] < FEWEST_ON_LINE or lasted < min(DIVERGED_AFTER, mem[Head.RECOVERY_TIME]):
         return False
     if lasted < mem[Head.RECOVERY_TIME] and not _diverged(mem, r, mem[at + Event.TIME]):
         return False
@@ -131,8 +127,6 @@ def start_anew(mem, r, at):
         diverged = due == 0.0 and _diverged(mem, r, mem[at + Event.TIME])
         v_n, v_e, drift = _velocity_of_fixes(mem, r, at, diverged)
     if diverged:
-        again = mem[r + Nav.DIVERGENCES] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.DIVERGENCE_TIME] < AGAIN_WITHIN
-        mem[r + Nav.DIVERGENCES] = mem[r + Nav.DIVERGENCES] + 1.0 if again else 1.0
         mem[r + Nav.DIVERGENCE_TIME] = mem[at + Event.TIME]
     mem[r + Drift.TIME] = mem[r + Receiver.FIRST] = 0.0
     # the innovations until now were those of a state that was wrong
@@ -169,7 +163,6 @@ def start_anew(mem, r, at):
     take_course(mem, r, v_n, v_e, drift)
     mem[r + Nav.RECOVERIES] += 1.0
     mem[r + Hypothesis.CONSISTENT] = 1.0
-    hypotheses.add_prior(mem, r, hypotheses.DIVERGENCE_PRIOR)
 
 
 @njit(_nrt=False)

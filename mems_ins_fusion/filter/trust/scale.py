@@ -106,9 +106,11 @@ LARGEST_INNOVATION = 2.0
 SMALLEST_SCALE = 0.01
 #: and at most: a thousand times the sigma
 LARGEST_SCALE = 1e6
-#: share of deviations that say nothing, `hypotheses.OUTLIER_SHARE`, over 14: they are spread evenly over the logarithm
+#: share of the measurements of a sensor without a fault that are outliers
+OUTLIER_SHARE = 0.01
+#: share of deviations that say nothing, OUTLIER_SHARE, over 14: they are spread evenly over the logarithm
 #: of their square, from metres to kilometres
-OUTLIER_DENSITY = 0.01 / 14.0
+OUTLIER_DENSITY = OUTLIER_SHARE / 14.0
 #: abscissas, in sigmas, and their weights, at which a normal distribution is integrated: the trapezoidal rule
 NODES = tuple(0.5 * i for i in range(-7, 8))
 WEIGHTS = tuple(0.5 / math.sqrt(2.0 * math.pi) * math.exp(-0.5 * node * node) for node in NODES)

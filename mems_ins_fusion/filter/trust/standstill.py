@@ -19,7 +19,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, ROW, Event, Kind, Nav, Sample, nonnegative, velocity_variance
 from .hypotheses import SHORTEST_CORRELATION
-from .line import Line, add_to_line, begin_line, fit_line
+from .line import FEWEST_ON_LINE, Line, add_to_line, begin_line, fit_line
 
 #: parts of the window below: it moves on by one of these at a time
 PARTS = 6
@@ -77,8 +77,6 @@ STRAIGHT_SHARE = 0.15
 LONGEST_LINE = 60.0
 #: s for which a standstill that they contradict is none: time to learn how quiet the vehicle is in motion
 MOTION_TIME = 60.0
-#: fixes, a second or more apart, through which such a line goes at least. Chosen, not measured
-FEWEST_FIXES = 5.0
 #: s: time constant of each of the two low passes; an engine shakes faster than what they leave
 LOW_PASS = 0.15
 #: s: time constant of the running mean that is taken out of it, tilt and bias; after a braking it decays with this
@@ -164,7 +162,7 @@ def shown_speed(mem, r, at, variance):
     north = (mem[at + Event.LATITUDE] - mem[r + Standing.FIRST]) / mem[r + Nav.NORTH_SCALE]
     east = (mem[at + Event.LONGITUDE] - mem[r + Standing.FIRST + 1]) / mem[r + Nav.EAST_SCALE]
     add_to_line(mem, line, time, north, east, weight)
-    if mem[line + Line.COUNT] < FEWEST_FIXES:
+    if mem[line + Line.COUNT] < FEWEST_ON_LINE:
         return 0.0, 0.0
     slope_n, slope_e, left, _ = fit_line(mem, line)
     speed = math.hypot(slope_n, slope_e)
