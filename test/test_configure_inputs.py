@@ -184,6 +184,34 @@ def test_the_baseline_of_two_antennas_has_an_honest_sigma():
     assert 0.55 < np.sqrt(np.mean(np.square(errors))) < 1.5
 
 
+def test_antennas_at_rest_show_their_distance_before_courses_show_it():
+    # given robots of 0.4 m/s, whose courses tell little, with two receivers of 2 cm
+    distance, errors, sigmas = np.hypot(*np.subtract(REAR, FRONT)[:2]), [], []
+    values = table.check({'gnss.lever_arm': FRONT, **TWO_RECEIVERS})
+    for seed in range(4):
+        drive = simulate_drive(200.0, seed, 50.0, standstill=25.0, manoeuvres=manoeuvres.SLOW)
+        made = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
+                                  GnssNoise(0.02, 5.0), [(EFFECTS['gnss_lever_arm'], dict(zip('xyz', FRONT)))],
+                                  seed=seed, aiding=Aiding(fix_rate=5.0, fix_sigma=0.02),
+                                  named=[one for one in aiding(values) if not one.is_plain]).recording
+        found = estimate_baseline(made.gnss, made.others['rear'])
+        errors.append(np.hypot(*found.arm[:2]) - distance)
+        sigmas.append(found.arm_sigma[0])
+    # then they are as far apart as they are, to less than the noise of a fix, and forward is known to centimetres
+    assert np.max(np.abs(errors)) < 0.02 and np.max(sigmas) < 0.06
+
+
+@pytest.mark.parametrize('late', [0.0, 0.12])
+def test_what_is_not_known_of_the_time_offset_of_the_fixes_is_left_to_the_filter(late, tmp_path):
+    # given a car with wheel speed whose fixes of 1 m are right, or 0.12 s late
+    made, values = recorded({'speed_topic': '/can/speed'}, {'gnss': late}, seed=5, sigma=1.0, speed_rate=20.0)
+    found, why = settings_of(written(made, values, tmp_path / 'bag'))
+    # then the sigma of what is set is told
+    left, sigma = late - found['gnss.time_offset'], found['gnss.time_offset_sigma']
+    assert abs(left) < 3.0 * sigma and 0.01 <= sigma < 0.25
+    assert 'the filter estimates what is left of it' in why['gnss.time_offset_sigma']
+
+
 @pytest.mark.parametrize('sense', [1.0, -0.7])
 def test_a_turn_rate_tells_its_clock_in_either_sense(sense):
     made, _ = recorded({}, {'twist': -0.12}, twist_rate=10.0)
