@@ -264,8 +264,7 @@ def _solve(design, values, weight):
 
 
 def _course_changes(fixes: Fixes):
-    """For pairs of successive intervals: stamps (begin, middle, end), speeds, change of course, rad, and its weight;
-    without bends so tight that the antenna moves sideways."""
+    """For pairs of successive intervals: stamps (begin, middle, end), speeds, change of course, rad, and its weight."""
     fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
     if len(fixes) < 2:
         return None
@@ -284,14 +283,12 @@ def _course_changes(fixes: Fixes):
     good = (distance > np.maximum(_SHORTEST_COURSE * sigma, 0.5)) & (interval < 1.5 * np.median(interval))
     course = np.arctan2(step[:, 1], step[:, 0])
     variance = 2.0 * (sigma / np.maximum(distance, 1e-9)) ** 2 + _SLIP**2
-    change = wrap(np.diff(course))
-    wide = 0.5 * (distance[1:] + distance[:-1]) > TIGHTEST_COURSE * np.abs(change)
-    pair = np.flatnonzero(good[1:] & good[:-1] & wide)
+    pair = np.flatnonzero(good[1:] & good[:-1])
     if len(pair) < _FEWEST_CHANGES:
         return None
     speed = distance / interval
     return ((stamp[pair], stamp[pair + 1], stamp[pair + 2]), (speed[pair], speed[pair + 1]),
-            change[pair], 1.0 / (variance[pair + 1] + variance[pair]))
+            wrap(course[pair + 1] - course[pair]), 1.0 / (variance[pair + 1] + variance[pair]))
 
 
 class _Heading:
