@@ -106,17 +106,3 @@ def test_a_clock_that_jumps_is_followed_within_two_manoeuvres(recording, name):
     assert found[after] == pytest.approx(0.5, abs=3.0 * sigma[after] + 0.02) and sigma[after] < 0.15
     without = run(FilterConfig.from_parameters(table.check({})), recording.imu, recording.gnss)
     assert rmse(recording, result) < 1.05 * rmse(recording, without)
-
-
-@pytest.mark.parametrize('off', [5.0, -8.0])
-def test_a_heading_whose_constant_error_jumps_does_not_turn_the_vehicle(recording, off):
-    # given a heading that is off by some degrees from the middle of the drive on
-    heading, config = recording.heading, FilterConfig.from_parameters(table.check({'heading_topic': '/heading'}))
-    later = heading.stamp > heading.stamp[len(heading) // 2]
-    jumps = replace(heading, yaw=heading.yaw + np.where(later, np.radians(off), 0.0))
-    right, found = (run(config, recording.imu, recording.gnss, Measured(heading=one)) for one in (heading, jumps))
-    # then the offset is found, and the vehicle's heading is that with the right one
-    state = config.layout.index('heading_offset')
-    assert np.degrees(found.extras[-1, state - config.layout.n]) == pytest.approx(
-        off, abs=3.0 * np.degrees(found.sigma[-1, state]) + 0.5)
-    assert np.degrees(np.abs(np.arctan2(np.sin(found.yaw - right.yaw), np.cos(found.yaw - right.yaw)))).max() < 2.0

@@ -30,71 +30,39 @@ SMALLEST_JUMP = 0.05
 #: s, beside the parameter: what is further off then has another fault, as wheels that slip, and would pass for one of
 #: that; half a second, and a sigma of what nobody declares
 LARGEST_OFFSET = 0.6
-#: sigmas beyond which the constant error of a heading has jumped: more than of a clock, as errors of a heading last for
-#: some seconds and count here as if each were another one
-OFFSET_SIGNIFICANT = 5.0
-#: rad, and it has jumped by so much: a degree is what reflections make
-SMALLEST_TURN = 0.0175
 
 
 @njit(_nrt=False)
 def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
-    """Whether the innovation of the record at `at` and those before say that its clock has jumped; the offset's
-    variance in P of the scratch is then larger by the square of the jump.
+    """Whether the innovation of the record at `at` and those before say so; the offset's variance in P of the scratch
+    is then larger by the square of the jump.
 
     own: position of the input's `Seen`. noise, variance: of the innovation, of the input and of the state at r.
     """
     state = int(mem[at + Event.TIME_OFFSET])
     if state <= 0:
         return False
-    jump = _jump(mem, r, at, n, own, own + Seen.JUMP_SCORE, dimensions, noise, variance, state, SIGNIFICANT,
-                 SMALLEST_JUMP)
-    if jump == 0.0 or abs(mem[r + NAV + state] + jump) > LARGEST_OFFSET:
-        return False
-    _make_uncertain(mem, n, own, own + Seen.JUMP_SCORE, state, jump)
-    return True
-
-
-@njit(_nrt=False)
-def offset_has_jumped(mem, r, at, n, own, noise, variance):
-    """The same of the constant error of the heading at `at`."""
-    state = int(mem[at + Event.STATE])
-    if state < 0:
-        return False
-    jump = _jump(mem, r, at, n, own, own + Seen.OFFSET_SCORE, 1, noise, variance, state, OFFSET_SIGNIFICANT,
-                 SMALLEST_TURN)
-    if jump == 0.0:
-        return False
-    _make_uncertain(mem, n, own, own + Seen.OFFSET_SCORE, state, jump)
-    return True
-
-
-@njit(_nrt=False)
-def _jump(mem, r, at, n, own, block, dimensions, noise, variance, state, significant, smallest):
-    """By how much the estimate of `state` is off if that is certain, else 0. block: position of the score, the
-    information and, by component, what the state has followed, of `Seen`."""
-    h = int(mem[Head.SCRATCH_AT]) + n * n
+    p = int(mem[Head.SCRATCH_AT])
+    h = p + n * n
     since, gain = max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0), variance / (variance + noise)
     keep, left = math.exp(-since / FORGETTING_TIME), math.exp(-since / FOLLOWING_TIME)
     largest = LARGEST_INNOVATION * math.sqrt(noise + variance)
-    score, information = keep * mem[block], keep * mem[block + 1]
+    score, information = keep * mem[own + Seen.JUMP_SCORE], keep * mem[own + Seen.JUMP_INFORMATION]
     for k in range(dimensions):
-        followed = left * mem[block + 2 + k]
+        followed = left * mem[own + Seen.FOLLOWED + k]
         signature = mem[h + n * k + state] - followed
-        mem[block + 2 + k] = followed + gain * signature
+        mem[own + Seen.FOLLOWED + k] = followed + gain * signature
         innovation = mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)
         innovation = max(-largest, min(innovation, largest))
         score += signature * innovation / (noise + variance)
         information += signature * signature / (noise + variance)
-    mem[block], mem[block + 1] = score, information
-    if abs(score) < max(significant * math.sqrt(information), smallest * information) or information == 0.0:
-        return 0.0
-    return score / information
-
-
-@njit(_nrt=False)
-def _make_uncertain(mem, n, own, block, state, jump):
-    """The estimate of `state` may be off by `jump`; what seemed to be noise of the input may have been that."""
-    mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * state] += jump**2
-    mem[block] = mem[block + 1] = 0.0
-    reopen(mem, own, 1.0)
+    mem[own + Seen.JUMP_SCORE], mem[own + Seen.JUMP_INFORMATION] = score, information
+    if abs(score) < max(SIGNIFICANT * math.sqrt(information), SMALLEST_JUMP * information) or information == 0.0:
+        return False
+    jump = score / information
+    if abs(mem[r + NAV + state] + jump) > LARGEST_OFFSET:
+        return False
+    mem[p + (n + 1) * state] += jump**2
+    mem[own + Seen.JUMP_SCORE] = mem[own + Seen.JUMP_INFORMATION] = 0.0
+    reopen(mem, own, 1.0)  # what seemed to be noise may have been that
+    return True

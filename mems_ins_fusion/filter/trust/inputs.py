@@ -89,8 +89,6 @@ def factor_and_limits(mem, r, at, n, dimensions):
     slips = has_displacement(kind) and _slips(mem, own, kind, time, since, squared, variance + noise)
     if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance):
         squared, variance = _innovation(mem, r, at, n, dimensions)
-    if kind == Kind.HEADING and not slips and clock_jump.offset_has_jumped(mem, r, at, n, own, noise, variance):
-        squared, variance = _innovation(mem, r, at, n, dimensions)
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < LONGEST_WITHOUT_FIX
     if kind == Kind.PLACE:
         expected = variance + min(before, LARGEST_NOISE_FACTOR) * claimed

@@ -82,8 +82,7 @@ class _Seen(NamedTuple):
     UNFOLLOWED: int = 42  # by how much its low pass is behind, m/s or rad, and the time, s: measurements/low_pass.py
     UNFOLLOWED_TURN: int = 44  # the same of its turn rate, rad/s,
     TURN: int = 46  # and that of the gyroscopes at its latest message, rad/s
-    OFFSET_SCORE: int = 47  # 1/rad: the same as JUMP_SCORE to FOLLOWED, of the constant error of a heading
-    SIZE: int = 51
+    SIZE: int = 47
 
 
 Seen = _Seen()
