@@ -77,7 +77,7 @@ def main():
         found = estimate_mounting(recording.imu, recording.gnss)
         print(name, found.offset if found is not None else None)
         if found is not None:
-            print(' ', estimate_turn_offset(recording.imu, turning_of(course_of(recording.gnss)), found.rotation))
+            print(' ', estimate_turn_offset(recording.imu, turning_of(course_of(recording.gnss)), found.rotation[2]))
         truth = recording.reference if reference else recording.gnss
         grade, pitch = grade_and_pitch(truth, *pitch_run(recording, mounting_rpy, offset))
         if len(grade) < 20:

@@ -8,7 +8,8 @@ import pytest
 
 from mems_ins_fusion.configuration.baseline import estimate_baseline
 from mems_ins_fusion.configuration.configure import configure
-from mems_ins_fusion.configuration.inputs import clock_of
+from mems_ins_fusion.configuration.inputs import clock_of, shown_inputs
+from mems_ins_fusion.configuration.mounting import Mounting
 from mems_ins_fusion.configuration.turn_offset import estimate_turn_offset
 from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offset
 from mems_ins_fusion.effects.aiding_time_offset import time_offset_of
@@ -18,6 +19,7 @@ from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
+from mems_ins_fusion.recordings.aiding import forwards
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.samples import Aiding as Measured
@@ -182,16 +184,44 @@ def test_the_baseline_of_two_antennas_has_an_honest_sigma():
     assert 0.55 < np.sqrt(np.mean(np.square(errors))) < 1.5
 
 
+def test_antennas_at_rest_show_their_distance_before_courses_show_it():
+    # given robots of 0.4 m/s, whose courses tell little, with two receivers of 2 cm
+    distance, errors, sigmas = np.hypot(*np.subtract(REAR, FRONT)[:2]), [], []
+    values = table.check({'gnss.lever_arm': FRONT, **TWO_RECEIVERS})
+    for seed in range(4):
+        drive = simulate_drive(200.0, seed, 50.0, standstill=25.0, manoeuvres=manoeuvres.SLOW)
+        made = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
+                                  GnssNoise(0.02, 5.0), [(EFFECTS['gnss_lever_arm'], dict(zip('xyz', FRONT)))],
+                                  seed=seed, aiding=Aiding(fix_rate=5.0, fix_sigma=0.02),
+                                  named=[one for one in aiding(values) if not one.is_plain]).recording
+        found = estimate_baseline(made.gnss, made.others['rear'])
+        errors.append(np.hypot(*found.arm[:2]) - distance)
+        sigmas.append(found.arm_sigma[0])
+    # then they are as far apart as they are, to less than the noise of a fix, and forward is known to centimetres
+    assert np.max(np.abs(errors)) < 0.02 and np.max(sigmas) < 0.06
+
+
+@pytest.mark.parametrize('late', [0.0, 0.12])
+def test_what_is_not_known_of_the_time_offset_of_the_fixes_is_left_to_the_filter(late, tmp_path):
+    # given a car with wheel speed whose fixes of 1 m are right, or 0.12 s late
+    made, values = recorded({'speed_topic': '/can/speed'}, {'gnss': late}, seed=5, sigma=1.0, speed_rate=20.0)
+    found, why = settings_of(written(made, values, tmp_path / 'bag'))
+    # then the sigma of what is set is told
+    left, sigma = late - found['gnss.time_offset'], found['gnss.time_offset_sigma']
+    assert abs(left) < 3.0 * sigma and 0.01 <= sigma < 0.25
+    assert 'the filter estimates what is left of it' in why['gnss.time_offset_sigma']
+
+
 @pytest.mark.parametrize('sense', [1.0, -0.7])
 def test_a_turn_rate_tells_its_clock_in_either_sense(sense):
     made, _ = recorded({}, {'twist': -0.12}, twist_rate=10.0)
     twist = made.streams()['twist']
     twist = replace(twist, twist=twist.twist * [1.0, 1.0, sense])
-    found = estimate_turn_offset(made.imu, twist, rotation_from_rpy(*MOUNTING))
+    found = estimate_turn_offset(made.imu, twist, rotation_from_rpy(*MOUNTING)[2])
     assert found.lag == pytest.approx(-0.12, abs=3.0 * found.lag_sigma) and found.lag_sigma < 0.03
     assert np.sign(found.correlation) == np.sign(sense) and abs(found.correlation) > 0.9
     # and a turn rate that never is one tells nothing
-    assert estimate_turn_offset(made.imu, replace(twist, twist=0.0 * twist.twist), np.eye(3)) is None
+    assert estimate_turn_offset(made.imu, replace(twist, twist=0.0 * twist.twist), np.eye(3)[2]) is None
 
 
 def test_a_low_pass_is_searched_only_where_the_turn_rate_does_not_agree_enough_without_one():
@@ -199,7 +229,7 @@ def test_a_low_pass_is_searched_only_where_the_turn_rate_does_not_agree_enough_w
     made = simulate_recording(simulate_drive(300.0, 3, 50.0, standstill=20.0),
                               SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.5),
                               [(EFFECTS['twist_lag'], {'tau': 1.5})], seed=3, aiding=Aiding(twist_rate=10.0)).recording
-    alike, little, much = (estimate_turn_offset(made.imu, made.streams()['twist'], np.eye(3), enough)
+    alike, little, much = (estimate_turn_offset(made.imu, made.streams()['twist'], np.eye(3)[2], enough)
                            for enough in (0.9, 0.99, 1.0))
     # then it is not searched where the correlation without one is enough, and else found
     assert alike.low_pass is None and 0.9 < alike.correlation < 0.99 < little.correlation
@@ -214,7 +244,7 @@ def test_a_heading_tells_its_low_pass_beside_its_clock(tau, late, rate):
                               SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.5), effects,
                               seed=62, aiding=Aiding(heading_rate=rate)).recording
     heading = replace(made.heading, stamp=made.heading.stamp + round(late * 1e9))
-    clock = clock_of('heading', heading, made.imu, None, np.eye(3))
+    clock = clock_of('heading', heading, made.imu, None, Mounting(np.eye(3), np.zeros(3)))
     if rate < 4.0:
         assert clock.low_pass is None  # the mean over half a second would look like one
         return
@@ -224,6 +254,34 @@ def test_a_heading_tells_its_low_pass_beside_its_clock(tau, late, rate):
     assert clock.low_pass.certain == (tau > 0.0)
     assert clock.low_pass.tau == pytest.approx(tau, abs=3.0 * clock.low_pass.sigma)
     assert tau == 0.0 or clock.low_pass.sigma < 0.05
+
+
+def test_of_an_odometry_the_turn_rate_tells_a_low_pass_that_the_speed_leaves_open():
+    # given an odometry through a low pass of 0.42 s, in the speed of which the springs of the body look like one of 0.3
+    made = simulate_recording(simulate_drive(400.0, 58, 50.0, standstill=25.0),
+                              SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.5),
+                              [(EFFECTS['twist_lag'], {'tau': 0.42})], seed=58,
+                              aiding=Aiding(twist_rate=50.0)).recording
+    mounting = Mounting(np.eye(3), np.full(3, 0.01))
+    by_speed = clock_of('speed', forwards(made.streams()['twist']), made.imu, None, mounting).low_pass
+    found = clock_of('twist', made.streams()['twist'], made.imu, None, mounting)
+    # then the turn rate makes it certain
+    assert not by_speed.certain
+    assert found.low_pass.certain and found.low_pass.tau == pytest.approx(0.42, abs=3.0 * found.low_pass.sigma)
+    assert found.lag[0] == pytest.approx(0.42, abs=3.0 * found.lag[1])
+
+
+def test_an_odometry_is_one_where_the_yaw_of_the_mounting_is_not_known():
+    # given a robot whose drive shows the up axis of its IMU, but not its yaw
+    made, _ = recorded({}, {'twist': 0.15}, twist_rate=10.0)
+    rotation, still = rotation_from_rpy(*MOUNTING), np.zeros(len(made.imu), dtype=bool)
+    mounting = Mounting(rotation, np.array([0.01, 0.01, np.inf]))
+    twist = made.streams()['twist']
+    read = {'/odom': {'speed': forwards(twist), 'twist': twist}}
+    shown, = shown_inputs(read, {}, made.imu, made.gnss, still, mounting)
+    # then its turn rate is that of the gyroscopes, and tells its clock
+    assert shown.measurement.name == 'twist'
+    assert shown.lag[0] == pytest.approx(0.15, abs=3.0 * shown.lag[1]) and shown.lag[1] < 0.03
 
 
 @pytest.mark.parametrize('rate', [1.0, 5.0])

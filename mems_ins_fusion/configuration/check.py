@@ -216,19 +216,18 @@ def shares_left(recording: Recording, fixes: Fixes, values: dict) -> dict[str, R
 
 def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict) -> dict[str, ClockLeft]:
     """What the checked parameters `values` leave of the time offset of each input, by its name, as `recording` shows it
-    without a filter; imu: its usable samples. Of those that are compared with the IMU only where the yaw of the
-    mounting is shown."""
-    rotation = found.rotation if found is not None and found.yaw_known else None
+    without a filter; imu: its usable samples. Of those that are compared with the IMU only where its mounting is shown:
+    turns need the up axis, speeds the yaw, too."""
     fixes = usable_fixes(recording.gnss) if recording.gnss is not None and len(recording.gnss) else None
     left, streams = {}, recording.streams()
     for measurement in aiding(values):
         name, kind = measurement.name, MEASUREMENTS[measurement.kind].name
-        compared = fixes if measurement.of_antenna else rotation
+        compared = fixes if measurement.of_antenna else found
         if kind not in CLOCKED or not values[measurement.topic] or name not in streams or compared is None:
             continue
         samples = measurement.declared(measurement.settings(values), streams[name])
         samples = samples.select(samples.stamp < imu.stamp[-1])
-        clock = clock_of(kind, samples, imu, fixes, rotation)
+        clock = clock_of(kind, samples, imu, fixes, found)
         lag, sigma = clock.lag or (0.0, math.inf)
         declared = values[f'{name}.time_offset']
         if measurement.of_antenna and not measurement.is_plain:  # that of the plain one is beside gnss.time_offset

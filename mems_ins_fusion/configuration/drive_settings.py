@@ -54,7 +54,7 @@ def settings_of(topics: Topics, drives, mounting):
         yield from mounted
     antenna = []
     if mounting is not None:
-        antenna.append(_time_offset_setting(mounting.offset))
+        antenna += _time_offset_settings(mounting.offset)
     if mounting is not None or arm is not None:
         antenna += _arm_settings(mounting.offset if mounting is not None else None, arm)
     yield from antenna
@@ -136,15 +136,18 @@ def _degrees(angle, sigma) -> str:
     return f'{round(math.degrees(angle), 1) + 0.0:+.1f} +- {max(math.degrees(sigma), 0.1):.1f} deg'
 
 
-def _time_offset_setting(offset) -> Setting:
+def _time_offset_settings(offset) -> list[Setting]:
+    """The time offset of the fixes and, where it is shown, its sigma: the filter estimates what is left of it."""
+    name = 'gnss.time_offset'
     if offset is None or not offset.shown:
         why = 'not shown' if offset is None else f'{offset.lag:.1f} +- {offset.lag_sigma:.1f} s: as good as not shown'
-        return Setting('gnss.time_offset', 0.0, (why,))
+        return [Setting(name, 0.0, (why,))]
     seen = f'by the track between fixes {offset.lag:.3f} +- {offset.lag_sigma:.3f} s, with the arm unknown'
     if offset.rivals:
         seen += f'; {" or ".join(f"{rival:g}" for rival in offset.rivals)} s would fit nearly as well'
     sure = is_sure(offset.lag, offset.lag_sigma)
-    return Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0, (seen if sure else f'{seen}{at_zero()}',))
+    return [Setting(name, round(offset.lag, 3) if sure else 0.0, (seen if sure else f'{seen}{at_zero()}',)),
+            Setting(f'{name}_sigma', round(float(offset.lag_sigma), 3), ('the filter estimates what is left of it',))]
 
 
 def _arm_settings(offset, told: np.ndarray | None) -> tuple[Setting, Setting]:

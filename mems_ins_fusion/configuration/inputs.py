@@ -116,10 +116,9 @@ def shown_inputs(readings: Mapping[str, Mapping[str, object]], receivers: Mappin
     fixes of further receivers. imu: SI units. fixes: usable ones of the first receiver, None without. still: (n,) bool,
     samples at rest.
     """
-    rotation = _rotation(mounting)
     found = [_counted(_receiver(topic, others, imu, fixes, still), others) for topic, others in receivers.items()]
     for topic, read in readings.items():
-        kind = _kind(topic, read, imu, fixes, rotation)
+        kind = _kind(topic, read, imu, fixes, mounting)
         timed = kind if isinstance(kind, LeftOut) else _timed(kind, read, imu, fixes, mounting)
         found.append(_counted(timed, next(iter(read.values()))))
     return _without_repeats(found)
@@ -147,7 +146,7 @@ def _counted(shown: InputShown | LeftOut, samples) -> InputShown | LeftOut:
     return replace(shown, messages=f'{len(samples)} messages' + (f', {1.0 / interval:.3g} Hz' if interval > 0 else ''))
 
 
-def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
+def _kind(topic, read, imu, fixes, mounting) -> InputShown | LeftOut:
     """The kind of measurement of a topic, or why it is not used."""
     if RESULT.search(topic):
         return LeftOut(topic, 'a result or a reference by its name')
@@ -159,7 +158,7 @@ def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
     if 'magnetometer' in read:
         return _magnetometer(topic, read['magnetometer'], fixes)
     if 'pose' in read and (not read['twist'].twist.any() if 'twist' in read else OTHER_SENSORS.search(topic)):
-        return _pose(topic, read['pose'], imu, fixes, rotation)
+        return _pose(topic, read['pose'], imu, fixes, mounting)
     if 'heading' in read:
         return _heading(topic, read['heading'], fixes)
     if 'speed' not in read:
@@ -173,20 +172,20 @@ def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
                        else 'neither its name tells what it is nor fixes, of which too few move fast enough')
     why = 'it goes with the speed of the fixes' if goes_forwards else (
         'by its name: too few fixes move fast enough to compare it with, its unit is taken to be m/s')
-    if 'twist' in read and rotation is not None and _turns_as(imu, read['twist'], rotation):
+    if 'twist' in read and _turns_as(imu, read['twist'], mounting):
         kind, why = 'twist', f'{why}, its turn rate with the gyroscopes'
     else:
         kind = 'speed'
     return InputShown(topic, TYPES[kind], why, factor if goes_forwards else 1.0)
 
 
-def _pose(topic, displacements, imu, fixes, rotation):
+def _pose(topic, displacements, imu, fixes, mounting):
     """A topic with poses. Only the displacements between them are used, if these agree with fixes and gyroscopes: the
     axes of the poses are unknown."""
     factor = speed_factor(forwards(displacements), fixes)
     if factor is None or not math.isfinite(factor):
         return LeftOut(topic, 'the way between its poses does not go with the speed of the fixes')
-    if rotation is None or not _turns_as(imu, displacements, rotation):
+    if not _turns_as(imu, displacements, mounting):
         return LeftOut(topic, 'the turns between its poses are not shown to be those of the gyroscopes')
     return InputShown(topic, TYPES['pose'], 'it has no twist; the way between its poses goes with the speed of the '
                       'fixes, their turns with the gyroscopes', factor)
@@ -227,7 +226,7 @@ def _timed(shown: InputShown, read, imu, fixes, mounting: Mounting | None) -> In
     """`shown` with its time offset and, for wheels and odometry, their place: to the left from the speed in bends,
     ahead from the velocity sideways, which shows how far ahead of the rear axle it is, as the mounting of the IMU."""
     samples = _in_si(read[shown.measurement.name], shown.factor)
-    clock = clock_of(shown.measurement.name, samples, imu, fixes, _rotation(mounting))
+    clock = clock_of(shown.measurement.name, samples, imu, fixes, mounting)
     axes = axes_of(samples)
     shown = replace(shown, lag=clock.lag, low_pass=clock.low_pass, axes=axes)
     left = clock.left or (0.0, math.inf)
@@ -235,11 +234,6 @@ def _timed(shown: InputShown, read, imu, fixes, mounting: Mounting | None) -> In
     if axes is not None and mounting is not None:
         ahead = axes.ahead[0] - mounting.imu[0], math.hypot(axes.ahead[1], mounting.imu[1])
     return replace(shown, arm=(np.array([ahead[0], left[0], 0.0]), np.array([ahead[1], left[1], np.inf])))
-
-
-def _rotation(mounting: Mounting | None) -> np.ndarray | None:
-    """(3, 3) from sensor axes to base_link; None where the yaw of the mounting is not known."""
-    return mounting.rotation if mounting is not None and mounting.yaw_known else None
 
 
 def _in_si(samples, factor: float):
@@ -273,40 +267,47 @@ class Clock(NamedTuple):
     low_pass: LowPass | None = None
 
 
-def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, rotation: np.ndarray | None) -> Clock:
+def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, mounting: Mounting | None) -> Clock:
     """What is shown of the time of an input.
 
     kind: name of its measurement. samples: m/s, positive forwards. imu: SI units. fixes: usable ones of the first
-    receiver. rotation: (3, 3) from sensor axes to base_link, None if unknown.
+    receiver. mounting: of the IMU, None if not even its up axis is known, with which turns are compared; speeds need
+    its yaw, too.
     """
-    shown, left, low_pass = [], None, None
+    shown, left = [], None
     if kind == 'velocity' and fixes is not None:
         shown = [estimate_velocity_offset(samples, fixes)]
-    elif kind == 'heading' and rotation is not None:
-        turn = _turning(imu, turning_of(samples), rotation, _HEADING_TURNS)
-        shown, low_pass = [turn], None if turn is None else turn.low_pass
+    elif kind == 'heading':
+        shown = [_turning(imu, turning_of(samples), mounting, _HEADING_TURNS)]
     elif kind == 'fix' and fixes is not None:
         baseline = estimate_baseline(fixes, usable_fixes(samples))
         return Clock(None if baseline is None else (baseline.late, math.hypot(baseline.late_sigma, FLOOR)))
-    elif kind in WHEELED and rotation is not None:
-        offset = estimate_speed_offset(imu, forwards(samples), rotation)
-        if offset is not None:
-            left, low_pass = offset.left, offset.low_pass
-        # for an odometry also from its turn rate; the estimate with the smaller sigma is taken
-        shown = [offset, _turning(imu, samples, rotation) if kind != 'speed' else None]
-    lags = [(one.lag, one.lag_sigma) for one in shown if one is not None and one.lag_sigma < SHOWN]
-    return Clock(min(lags, key=lambda lag: lag[1], default=None), left, low_pass)
+    elif kind in WHEELED:
+        offset = None
+        if mounting is not None and mounting.yaw_known:
+            offset = estimate_speed_offset(imu, forwards(samples), mounting.rotation)
+        left = None if offset is None else offset.left
+        # for an odometry also from its turn rate, in which springs do not look like a low pass
+        shown = [offset, _turning(imu, samples, mounting) if kind != 'speed' else None]
+    shown = [one for one in shown if one is not None]
+    lags = [(one.lag, one.lag_sigma) for one in shown if one.lag_sigma < SHOWN]
+    low_passes = [one.low_pass for one in shown if getattr(one, 'low_pass', None) is not None]
+    # of several estimates the one with the smallest sigma
+    return Clock(min(lags, key=lambda lag: lag[1], default=None), left,
+                 min(low_passes, key=lambda one: one.sigma, default=None))
 
 
-def _turns_as(imu, twists, rotation) -> bool:
+def _turns_as(imu, twists, mounting) -> bool:
     """Whether the turn rate is correlated with that of the gyroscopes, with either sign."""
-    return _turning(imu, twists, rotation, enough=_TURNING) is not None
+    return _turning(imu, twists, mounting, enough=_TURNING) is not None
 
 
-def _turning(imu, twists, rotation, least=_TURNING, enough=1.0) -> TurnOffset | None:
-    """Time offset from the turn rate; None if that is not correlated with the gyroscopes, with either sign. enough: as
-    for `estimate_turn_offset`."""
-    turn = estimate_turn_offset(imu, twists, rotation, enough)
+def _turning(imu, twists, mounting, least=_TURNING, enough=1.0) -> TurnOffset | None:
+    """Time offset from the turn rate; None if that is not correlated with the gyroscopes, with either sign, or the up
+    axis is unknown. enough: as for `estimate_turn_offset`."""
+    if mounting is None:
+        return None
+    turn = estimate_turn_offset(imu, twists, mounting.rotation[2], enough)
     return turn if turn is not None and abs(turn.correlation) > least else None
 
 

@@ -58,8 +58,9 @@ _OWN = np.array([1e3, 0.2, 0.5, 0.5, 0.5, 3e-3])
 _NOISE = 0.05**2
 #: 1/s, noise of the accelerometers that is tried: variance of their integral over a second, over that of a speed
 _WALKS = (1e-2, 1e-1, 1.0, 10.0, 100.0)
-
-
+#: columns of what the IMU shows: integral of the specific force along nose and left, m/s, rate about the up axis,
+#: rad/s, its square's integral, integrals of the directions of nose and left, s, and the direction up
+_TURN, _SQUARED, _NOSE, _LEFT, _UP = 2, 3, slice(4, 7), slice(7, 10), slice(10, 13)
 #: s, time constants of a low pass that are tried
 _LOW_PASSES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.55, 0.7, 0.9, 1.15, 1.5, 2.0)
 #: s, step of the time constants over which the likelihood is averaged
@@ -203,32 +204,30 @@ class _Solved:
 
 @dataclass(frozen=True)
 class _Pieces:
-    """The pieces of a drive. track: of the samples. pushed: (n, 3) m/s, integral of the specific force along nose,
-    left and up, whose directions in the sensor's axes are `axes` (3, 3). turn: (n,) rad/s about the up axis. squared:
-    (n,) its square's integral. times: s after the track's origin, and speeds: m/s, of each piece. weight: (w,) of each.
-    turned: integral of the rotation. noise: variance of a speed, m^2/s^2. whitening: by walk, what `_whitening` has
-    made."""
+    """The w pieces of a drive, with as many places for speeds as the longest one has: the rest of a shorter one is not
+    `used` and repeats its last time. All of them are computed at once.
+
+    track: of the samples. shown: (n, 13) at its times, columns as _TURN to _UP say. times: (w, t) s after the track's
+    origin. speeds: (w, t) m/s. weight: (w,) of each. noise: variance of a speed, m^2/s^2. whitening: by walk, what
+    `_whitening` has made."""
 
     track: Track
-    pushed: np.ndarray
-    turn: np.ndarray
-    squared: np.ndarray
-    turned: np.ndarray
-    axes: np.ndarray
-    times: tuple[np.ndarray, ...]
-    speeds: tuple[np.ndarray, ...]
+    shown: np.ndarray
+    times: np.ndarray
+    speeds: np.ndarray
+    used: np.ndarray
     weight: np.ndarray
     noise: float = _NOISE
-    whitening: dict[float, list[tuple[np.ndarray, float]]] = field(default_factory=dict)
+    whitening: dict[float, tuple[np.ndarray, float]] = field(default_factory=dict)
 
     @cached_property
     def freedom(self) -> np.ndarray:
         """(w,) measurements of each piece beyond its own unknowns."""
-        return np.array([max(len(time) - len(_OWN), 1) for time in self.times])
+        return np.maximum(self.used.sum(axis=1) - len(_OWN), 1)
 
     def solved(self, lag: float, walk: float, free: bool = True) -> _Solved:
         """Least squares about `lag`. free: whether the offset is a change of it; else it is exact. walk: of _WALKS."""
-        each = self.weight[:, None, None] * np.array([part for part, _ in self._reduced(lag, walk)])
+        each = self.weight[:, None, None] * self._reduced(lag, walk)[0]
         total, first = each.sum(axis=0), 0 if free else 1
         freedom = float(self.weight @ self.freedom)
         prior = self.noise / _SHARED**2
@@ -239,13 +238,13 @@ class _Pieces:
 
     def unlikely(self, lag: float, walk: float) -> float:
         """Minus twice the logarithm of the likelihood of `walk` at that offset."""
-        more = sum(more for _, more in self._reduced(lag, walk))
+        more = self._reduced(lag, walk)[1]
         return float(self.freedom.sum()) * math.log(self.solved(lag, walk, free=False).noise) + more
 
     def smoothed(self, tau: float) -> _Pieces:
         """What the IMU shows, through a low pass of the time constant `tau`, s."""
-        return replace(self, **{name: self.track.through_low_pass(getattr(self, name), tau)
-                                for name in ('pushed', 'turn', 'squared', 'turned')})
+        through = self.track.through_low_pass(self.shown[:, :_UP.start], tau)
+        return replace(self, shown=np.hstack([through, self.shown[:, _UP]]))
 
     def weighted(self, found: _Solved) -> _Pieces:
         """With less weight on the pieces that fit worse than most."""
@@ -254,40 +253,45 @@ class _Pieces:
         usual = _SLIPPING * np.median(squares)
         return replace(self, noise=found.noise, weight=np.minimum(1.0, usual / np.maximum(squares, 1e-12)))
 
-    def _reduced(self, lag: float, walk: float):
-        """Of each piece the products of [speed, shared] with its own unknowns free, and the logarithms of the
-        determinants of its noise and of these."""
-        for time, speed, (inverse, logarithm) in zip(self.times, self.speeds, self._whitening(walk)):
-            nose = self._integrated(time - lag, 0)
-            value, left = nose[0], self._integrated(time - lag, 1)[0]
-            later, sooner = (self._integrated(time - lag + apart, 0)[0] for apart in (_APART, -_APART))
-            turn, squared = (self.track.at(column, time - lag) for column in (self.turn, self.squared))
-            shared = np.column_stack([(sooner - later) / (2.0 * _APART), value, turn, squared - squared[0], left])
-            white = inverse @ np.column_stack([speed, shared, nose[1]])
-            products, first = white.T @ white, 1 + shared.shape[1]
-            normal = products[first:, first:] + np.diag(self.noise / _OWN**2)
-            back = np.linalg.solve(normal, products[first:, :first])
-            yield (products[:first, :first] - products[:first, first:] @ back,
-                   logarithm + float(np.linalg.slogdet(normal)[1]))
+    def _reduced(self, lag: float, walk: float) -> tuple[np.ndarray, float]:
+        """(w, k, k) products of [speed, shared] of each piece with its own unknowns free, and the sum of the logarithms
+        of the determinants of its noise and of these."""
+        inverse, logarithm = self._whitening(walk)
+        (value, left, turn, squared), own = self._integrated(lag)
+        later, sooner = (self._integrated(lag + apart)[0][0] for apart in (-_APART, _APART))
+        shared = np.stack([(sooner - later) / (2.0 * _APART), value, turn, squared, left], axis=-1)
+        white = inverse @ np.concatenate([self.speeds[..., None], shared, own], axis=-1)
+        products, first = white.swapaxes(1, 2) @ white, 1 + shared.shape[-1]
+        normal = products[:, first:, first:] + np.diag(self.noise / _OWN**2)
+        back = np.linalg.solve(normal, products[:, first:, :first])
+        return (products[:, :first, :first] - products[:, :first, first:] @ back,
+                logarithm + float(np.linalg.slogdet(normal)[1].sum()))
 
-    def _whitening(self, walk: float) -> list[tuple[np.ndarray, float]]:
-        """Of each piece the inverse of the root of its noise's covariance, and the logarithm of the determinant of
-        that: the same for all offsets, of which some hundred are tried."""
+    def _whitening(self, walk: float) -> tuple[np.ndarray, float]:
+        """(w, t, t) inverses of the roots of the covariances of the pieces' noise, zero where nothing is used, and the
+        sum of the logarithms of their determinants: the same for all offsets, of which some hundred are tried."""
         if walk not in self.whitening:
-            since = [time - time[0] for time in self.times]
-            roots = [np.linalg.cholesky(np.eye(len(one)) + walk * np.minimum(one[:, None], one)) for one in since]
-            self.whitening[walk] = [(np.linalg.inv(root), 2.0 * float(np.log(np.diag(root)).sum())) for root in roots]
+            since = self.times - self.times[:, :1]
+            used = self.used[:, :, None] & self.used[:, None, :]
+            root = np.linalg.cholesky(np.eye(since.shape[1]) + np.where(
+                used, walk * np.minimum(since[:, :, None], since[:, None, :]), 0.0))
+            self.whitening[walk] = np.where(used, np.linalg.inv(root), 0.0), 2.0 * float(
+                np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
         return self.whitening[walk]
 
-    def _integrated(self, time, axis):
-        """Change of the speed along nose or left (axis 0, 1) since the first of `time`, m/s, and its derivatives by
-        what is the piece's own."""
-        track, since = self.track, time - time[0]
-        pushed, direction = track.at(self.pushed[:, axis], time), track.at(self.turned, time) @ self.axes[axis]
-        up = (track.at(track.rotation, time) @ self.axes[2]).mean(axis=0)
-        direction = direction - direction[0]
-        value = pushed - pushed[0] - STANDARD_GRAVITY * direction @ (up / np.linalg.norm(up))
-        return value, np.column_stack([np.ones(len(time)), since, direction, 0.5 * STANDARD_GRAVITY * since**2])
+    def _integrated(self, lag: float) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+        """Change of the speed along nose and left since the first of each piece's times, m/s, turn rate, rad/s, and the
+        change of its square's integral, (w, t) each; and the derivatives of the first by what is the piece's own,
+        (w, t, o)."""
+        found = self.track.at(self.shown, self.times - lag)
+        up = (self.used[..., None] * found[..., _UP]).sum(axis=1) / self.used.sum(axis=1)[:, None]
+        down = -STANDARD_GRAVITY * (up / np.linalg.norm(up, axis=1)[:, None])[:, :, None]
+        change = found - found[:, :1]
+        nose, left = (change[..., pushed] + (change[..., turned] @ down)[..., 0]
+                      for pushed, turned in ((0, _NOSE), (1, _LEFT)))
+        since = (self.times - self.times[:, :1])[..., None]
+        own = np.concatenate([np.ones_like(since), since, change[..., _NOSE], 0.5 * STANDARD_GRAVITY * since**2], -1)
+        return (nose, left, found[..., _TURN], change[..., _SQUARED]), own
 
 
 def _pieces(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> _Pieces | None:
@@ -311,6 +315,8 @@ def _pieces(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> _Pieces | 
         return None
     if len(chosen) > _MOST_PIECES:
         chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, _MOST_PIECES).astype(int)]
-    return _Pieces(track, at[:, :3], at[:, 3], integral(track.time, at[:, 3] ** 2), track.turned, rotation,
-                   tuple(time[piece] for piece in chosen), tuple(speed[piece] for piece in chosen),
-                   np.ones(len(chosen)))
+    places = np.array([np.pad(piece, (0, max(map(len, chosen)) - len(piece)), 'edge') for piece in chosen])
+    used = np.arange(places.shape[1]) < np.array([len(piece) for piece in chosen])[:, None]
+    shown = np.column_stack([at[:, :2], at[:, 3], integral(track.time, at[:, 3] ** 2), track.turned @ rotation[0],
+                             track.turned @ rotation[1], track.rotation @ rotation[2]])
+    return _Pieces(track, shown, time[places], speed[places], used, np.ones(len(chosen)))

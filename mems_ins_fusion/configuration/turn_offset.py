@@ -49,12 +49,11 @@ class TurnOffset:
     low_pass: LowPass | None = None
 
 
-def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray, enough: float = 1.0
-                         ) -> TurnOffset | None:
+def estimate_turn_offset(imu: ImuSamples, twists: Twists, up: np.ndarray, enough: float = 1.0) -> TurnOffset | None:
     """Estimate from `imu` (SI units) and the turn rate of `twists`; None with too few of either.
 
-    rotation: (3, 3) from sensor axes to base_link. enough: no low pass is searched where the correlation without one is
-    larger (absolute value): the search takes twice the time of all else.
+    up: (3,) the up axis of base_link, in sensor axes. enough: no low pass is searched where the correlation without one
+    is larger (absolute value): the search takes twice the time of all else.
     """
     good = in_time_order(twists.stamp, np.isfinite(twists.twist[:, 2]))
     if len(good) < _FEWEST or len(imu) < _FEWEST:
@@ -62,7 +61,7 @@ def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray, 
     origin = int(imu.stamp[0])
     inertial = InertialIntegrals(imu, origin)
     time, turn = (twists.stamp[good] - origin) * 1e-9, -twists.twist[good, 2]
-    angle = inertial.angle @ rotation[2]
+    angle = inertial.angle @ up
     inside = inertial.covers(time - LARGEST - _SMOOTHED, time + LARGEST + _SMOOTHED)
     time, turn = time[inside], _mean(time, integral(time, turn), time[inside])
     if len(time) < _FEWEST or turn.std() < _LEAST:
