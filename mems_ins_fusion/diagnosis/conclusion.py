@@ -272,7 +272,8 @@ def _with_settings(correction: Correction, trials: TrialRuns) -> Correction:
         if further[0] == correction.values:
             finding = replace(finding, reason='the settings are made for it already')
         else:
-            before, after = trials.errors(correction.by_part), trials.errors(further[1:])
+            # judged as they would drive: a filter that adapts to the noise of its samples may not need them
+            before, after = (trials.errors(models, full=True) for models in (correction.by_part, further[1:]))
             if judged(before, after, effects=True).answer == BETTER:
                 sets = {n: v for n, v in further[0].items() if v != correction.values[n]}
                 finding = replace(finding, added=True, changes=sets, saves=saved(before, after))
