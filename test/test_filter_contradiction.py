@@ -14,6 +14,7 @@ from filter_support import (
     random_covariance,
     started,
     take_all,
+    take_sample,
 )
 
 from mems_ins_fusion.filter.memory import (
@@ -125,6 +126,43 @@ def test_a_velocity_is_not_wrong_by_more_than_itself_and_the_fix_then_an_outlier
     fits = inflate_to_fit(memory, r, n, 1e6)
     # then the velocity is uncertain by 10 m/s, and the fix does not fit
     assert not fits and memory[p + (n + 1) * first] == pytest.approx(100.0)
+
+
+@BOTH
+def test_fix_after_fix_leaves_an_attitude_that_is_not_known_at_all(mechanization):
+    # given 300 fixes in a row with a normalized innovation of 5, as without an IMU, which nothing else corrects
+    config, memory, r = a_state(mechanization)
+    n, p, names = config.layout.n, int(memory[Head.SCRATCH_AT]), config.layout.names
+    moved = 4 if mechanization == 'planar' else 6
+    memory[p:p + n * n] = (1e-4 * random_covariance(n, np.random.default_rng(4))).ravel()
+    for _ in range(300):
+        assert inflate_to_fit(memory, r, n, 5.0)
+        position = memory[p:p + n * n].reshape(n, n)
+        position[:moved] /= math.sqrt(2.5)  # the fix corrects position and velocity
+        position[:, :moved] /= math.sqrt(2.5)
+    after = memory[p:p + n * n].reshape(n, n)
+    # then roll and pitch are known to 0.3 rad, a heading as one of any direction, and it is a covariance
+    sigma = np.sqrt(np.diag(after))
+    yaw = names.index('yaw' if mechanization == 'planar' else 'phi_d')
+    assert sigma[yaw] == pytest.approx(math.pi / math.sqrt(3.0))
+    if mechanization == 'strapdown':
+        assert sigma[[names.index('phi_n'), names.index('phi_e')]] == pytest.approx(0.3)
+    assert np.linalg.eigvalsh(after / np.outer(sigma, sigma)).min() > 0.0
+
+
+def test_fixes_are_used_whatever_their_innovation_for_a_time_also_where_no_constraint_is_applied():
+    # given a heading that is not known, so that the constraint leaves it to the fixes, after a slide
+    config = configure(CAR, mechanization='strapdown')
+    sigma = np.where(np.array(config.layout.names) == 'phi_d', 1.5, 0.01)
+    memory = started(config, velocity=(10.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=np.diag(sigma**2))
+    memory[state_at(memory, 0) + Nav.USE_ALL_FIXES] = USE_ALL_TIME
+    # when it drives on
+    left = []
+    for k in range(1, round(1.1 * USE_ALL_TIME / 0.01)):
+        memory[state_at(memory, k - 1) + Nav.FIX_TIME] = 0.01 * (k - 1) + 1e-9
+        take_sample(memory, 0.01 * k, 0.3 * math.sin(k), 0.0, 9.81, 0.0, 0.0, 0.0)
+        left.append(newest(memory)[Nav.USE_ALL_FIXES])
+    assert left[999] == pytest.approx(USE_ALL_TIME - 10.0, abs=0.2) and left[-1] == 0.0
 
 
 @BOTH

@@ -69,6 +69,7 @@ def constrain(mem, r, sample):
     at = h + 6 * n  # a temporary record in the scratch
     since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
     gyroscopes.allow_for_end(mem, r, n, since)
+    mem[r + Nav.USE_ALL_FIXES] = max(mem[r + Nav.USE_ALL_FIXES] - since, 0.0)
     yaw = yaw_state(mem)
     if still:
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2

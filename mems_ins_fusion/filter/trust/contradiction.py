@@ -12,7 +12,8 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import Head, Nav, velocity_state, yaw_state
+from ..memory import Error, Head, Nav, row_of, velocity_state, yaw_state
+from ..prediction import UNKNOWN_YAW_SIGMA
 from . import hypotheses
 from .force_noise import ForceNoise
 from .scale import reset_scale
@@ -38,6 +39,9 @@ USE_ALL_TIME = 20.0
 SLOWEST_SPEED = 1.0
 #: normalized innovation squared of a fix, 2 degrees of freedom, to which an unsettled state is loosened
 INFLATED_NIS = 2.0
+#: rad (17 deg), largest standard deviation that this gives to roll and pitch: a mount that has slipped. The filter is
+#: linear in them, and without the IMU no fix corrects them
+LARGEST_TILT = 0.3
 
 
 @njit(_nrt=False)
@@ -51,7 +55,6 @@ def slides(mem, r, innovation, s, since):
     mem[r + Nav.SLIDING_NIS] += (nis - mem[r + Nav.SLIDING_NIS]) * min(since / SLIDING_TIME, 1.0)
     mem[r + Nav.USUAL_SLIDING_NIS] += (min(nis, LARGEST_RATIO * usual) - usual) * min(since / USUAL_TIME, 1.0)
     times = SLIDE_AGAIN_RATIO if mem[r + Nav.USE_ALL_FIXES] > 0.0 else SLIDE_RATIO
-    mem[r + Nav.USE_ALL_FIXES] = max(mem[r + Nav.USE_ALL_FIXES] - since, 0.0)
     return mem[r + Nav.SLIDING_NIS] > max(times * usual, SMALLEST_SLIDE_NIS)
 
 
@@ -83,8 +86,8 @@ def use_all_fixes(mem, r, since):
 def inflate_to_fit(mem, r, n, nis):
     """The navigation errors in P of the scratch so uncertain that a fix with this nis, before the correction, fits.
 
-    But its velocity no more than by itself: an IMU that turns the velocity makes it wrong by that at most. Returns
-    whether the fix fits then; else it may be an outlier.
+    But its velocity no more than by itself: an IMU that turns the velocity makes it wrong by that at most. And its
+    attitude no more than if nothing were known of it. Returns whether the fix fits then; else it may be an outlier.
     """
     if nis <= INFLATED_NIS:
         return True
@@ -92,8 +95,12 @@ def inflate_to_fit(mem, r, n, nis):
     speed = max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]), SLOWEST_SPEED)
     variance = max(mem[p + (n + 1) * first], mem[p + (n + 1) * (first + 1)])
     squared = min(nis / INFLATED_NIS, max(speed * speed / variance, 1.0))
-    factor = math.sqrt(squared)
+    tilt, yaw = row_of(mem, Error.PHI_N), yaw_state(mem)
     for i in range(n_navigation):
+        factor = math.sqrt(squared)
+        if i == yaw or 0 <= tilt <= i:
+            largest = UNKNOWN_YAW_SIGMA if i == yaw else LARGEST_TILT
+            factor = min(factor, max(largest / math.sqrt(mem[p + (n + 1) * i]), 1.0))
         for j in range(n):
             mem[p + n * i + j] *= factor
             mem[p + n * j + i] *= factor
