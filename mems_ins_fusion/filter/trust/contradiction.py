@@ -99,8 +99,9 @@ def inflate_to_fit(mem, r, n, nis):
     for i in range(n_navigation):
         factor = math.sqrt(squared)
         if i == yaw or 0 <= tilt <= i:
-            largest = UNKNOWN_YAW_SIGMA if i == yaw else LARGEST_TILT
-            factor = min(factor, max(largest / math.sqrt(mem[p + (n + 1) * i]), 1.0))
+            sigma, largest = math.sqrt(mem[p + (n + 1) * i]), UNKNOWN_YAW_SIGMA if i == yaw else LARGEST_TILT
+            if factor * sigma > largest:
+                factor = max(largest / sigma, 1.0)
         for j in range(n):
             mem[p + n * i + j] *= factor
             mem[p + n * j + i] *= factor
