@@ -10,7 +10,7 @@ import pytest
 from filter_support import configure
 from live_support import fed
 
-from mems_ins_fusion.filter.memory import NAV, Head, covariance, state_at
+from mems_ins_fusion.filter.memory import NAV, Head, Nav, covariance, newest_row, state_at
 from mems_ins_fusion.filter.prediction import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.live_output import published
@@ -216,6 +216,22 @@ def test_a_start_pose_in_motion_keeps_the_speed_and_at_the_start_knows_none():
     assert rows[0, TWIST_COVARIANCE] > 0.8 * variance
     # and it has gone east since
     assert rows[-1, 0] > 0.2 * speed and abs(rows[-1, 1]) < 0.1 * speed
+
+
+def test_a_new_start_says_for_how_long_fixes_were_refused_only_where_some_were():
+    # given a filter that has started anew, with no fix refused before or with some in the last 3 s
+    for refused, said in ((0, 'the fixes depart from the filter'), (3, 'the fixes refused for 3 s agree')):
+        fusion = FusionFilter(configure(DEFAULTS))
+        imu, fixes = parked(5.0)
+        feed(fusion, imu, fixes)
+        fusion.set_start(*HERE, 1.0, np.diag([1.0, 1.0, 4.0, 0.01]))
+        fusion.notices()
+        for k in range(refused):
+            fusion.tallies['fix'].refuse(fusion._now - (refused - k) * SECOND, 'too far off')
+        newest_row(fusion._memory)[Nav.RECOVERIES] += 1.0
+        fusion._say_new_starts()
+        # then it says what there was
+        assert [said in notice.text for notice in fusion.notices()] == [True]
 
 
 def test_parameters_that_change_while_it_runs_reach_the_filter():

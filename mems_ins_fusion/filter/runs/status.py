@@ -169,9 +169,11 @@ class FilterStatus(Intake):
             self.say('error', 'the state was not finite: the filter went back to the last good one')
         if self._starts[1] > before[1]:
             self._last_recovery = self._now * 1e-9
-            lasted = (self._now - self.tallies['fix'].since) * 1e-9
-            self.say('warning', f'{self.topic(Kind.POSITION)}: the fixes refused for {lasted:.0f} s agree with each '
-                                'other: position, velocity and heading restart from them')
+            tally = self.tallies['fix']
+            why = f'the fixes refused for {(self._now - tally.since) * 1e-9:.0f} s agree with each other'
+            if tally.last == 0 or (self._now - tally.last) * 1e-9 > REPORTED:  # none was refused: the IMU is wrong
+                why = 'the fixes depart from the filter as a vehicle moves'
+            self.say('warning', f'{self.topic(Kind.POSITION)}: {why}: position, velocity and heading restart from them')
 
     def _say_gap(self, seconds: float) -> None:
         self._last_gap = seconds
