@@ -181,11 +181,11 @@ def _check_clocks(recording: Recording, imu: ImuSamples, found: Mounting | None,
     """What the parameters leave of the time offset of each input whose clock can be seen."""
     of_receiver = {one.name: one.of_antenna for one in aiding(values)}
     for name, left in clocks_left(recording, imu, found, values).items():
-        yield _clock_finding(name, left, values[f'{name}.time_offset'], 'fixes' if of_receiver[name] else 'IMU')
+        yield _clock_remark(name, left, values[f'{name}.time_offset'], 'fixes' if of_receiver[name] else 'IMU')
         if left.axes is not None:
-            yield _axes_finding(name, left.axes, values[f'{name}.yaw'])
+            yield _axes_remark(name, left.axes, values[f'{name}.yaw'])
         if left.low_pass is not None:
-            yield _low_pass_finding(name, left.low_pass, values[f'{name}.lag'])
+            yield _low_pass_remark(name, left.low_pass, values[f'{name}.lag'])
 
 
 def _check_pressures(recording: Recording, fixes: Fixes, values: dict):
@@ -236,7 +236,7 @@ def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, v
     return left
 
 
-def _clock_finding(name: str, left: Remaining, declared: float, against: str) -> Remark:
+def _clock_remark(name: str, left: Remaining, declared: float, against: str) -> Remark:
     topic = f'{"gnss" if against == "fixes" else "imu"}/{name}'
     if not math.isfinite(left.sigma):
         return Remark(INFO, topic, f'how late the {name} is does not show: too few turns and stops, or noise')
@@ -249,7 +249,7 @@ def _clock_finding(name: str, left: Remaining, declared: float, against: str) ->
                   f'{left.sigma:.3f} s', shown)
 
 
-def _axes_finding(name: str, left: OdometryAxes, declared: float) -> Remark:
+def _axes_remark(name: str, left: OdometryAxes, declared: float) -> Remark:
     shown = {'yaw_rad': declared + left.yaw, 'sigma_rad': left.sigma, 'left_rad': left.yaw}
     turned = f'{math.degrees(left.yaw):.1f} +- {math.degrees(left.sigma):.1f} deg'
     if abs(left.yaw) > max(SMALL_YAW, SURE * left.sigma):
@@ -259,7 +259,7 @@ def _axes_finding(name: str, left: OdometryAxes, declared: float) -> Remark:
                   f'{declared:g}: {turned}', shown)
 
 
-def _low_pass_finding(name: str, seen: LowPass, declared: float) -> Remark:
+def _low_pass_remark(name: str, seen: LowPass, declared: float) -> Remark:
     shown = {'low_pass_s': seen.tau, 'sigma_s': seen.sigma}
     if seen.certain and abs(seen.tau - declared) > SURE * seen.sigma:
         beside = f' beside {name}.lag {declared:g} s' if declared else ''

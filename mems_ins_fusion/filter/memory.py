@@ -219,6 +219,14 @@ def element_at(mem, r, i, j):
 
 
 @njit(_nrt=False)
+def sensor_variance_at(mem, r, state):
+    """Position of the variance of an augmented state in the covariance of the state at r. state: its index among all.
+    """
+    first, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
+    return nonnegative(r + NAV + (first + 1) * (first + m) + (m + 1) * (state - first))
+
+
+@njit(_nrt=False)
 def row_of(mem, error):
     """Index of one of the nine navigation errors (`Error`) among the states; -1: not a state of this mechanization."""
     return int(mem[Head.ROWS + error])

@@ -35,6 +35,7 @@ from .memory import (
     nonnegative,
     restart_at,
     row_of,
+    sensor_variance_at,
     variance_at,
     walk_at,
 )
@@ -348,9 +349,8 @@ def allow_for_restart(mem, r):
     """
     n_navigation, m, p = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), int(mem[Head.ORDER])
     channels = int(mem[Head.CHANNELS])
-    e = r + NAV + (n_navigation + 1) * (n_navigation + m)
     for channel in range(channels):
-        mem[e + (m + 1) * channel * p] += mem[restart_at(m, p, channels, channel)]
+        mem[sensor_variance_at(mem, r, n_navigation + channel * p)] += mem[restart_at(m, p, channels, channel)]
 
 
 @njit(inline='always')

@@ -10,7 +10,7 @@ from __future__ import annotations
 from mems_ins_fusion.compiled import njit
 
 from ...navigation.earth import gravity
-from ..memory import NAV, Error, Event, Head, Nav, Sample, channel_of, element_at, row_of
+from ..memory import Error, Event, Nav, Sample, channel_of, element_at, row_of, sensor_variance_at
 from .geometry import add_attitude_error, rotate
 
 #: m^2/s^3, power spectral density of a land vehicle's acceleration: the velocity changes by 9.5 m/s (1 sigma) in 30 s.
@@ -22,17 +22,26 @@ SMALLEST_ERROR = 0.1
 
 
 @njit(_nrt=False)
+def tilt_variance(mem, r):
+    """Variance of a horizontal component of the gravity that the tilt of the state at r leaks in, (m/s^2)^2; 0 where
+    the tilt is no state."""
+    phi = row_of(mem, Error.PHI_N)
+    if phi < 0:
+        return 0.0
+    g = gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT])
+    tilt = 0.5 * (mem[element_at(mem, r, phi, phi)] + mem[element_at(mem, r, phi + 1, phi + 1)])
+    return g * g * tilt
+
+
+@njit(_nrt=False)
 def error_variance(mem, r):
     """Variance of a horizontal component of the acceleration as the state at r has it, by bias and tilt, (m/s^2)^2."""
-    n_navigation, m, total = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), 0.0
-    sensors = r + NAV + (n_navigation + 1) * (n_navigation + m)
+    total = tilt_variance(mem, r)
     for axis in range(2):
-        state, tilt = channel_of(mem, axis), row_of(mem, Error.PHI_N + axis)
+        state = channel_of(mem, axis)
         if state >= 0:
-            total += mem[sensors + (m + 1) * (state - n_navigation)]
-        if tilt >= 0:
-            total += gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT]) ** 2 * mem[element_at(mem, r, tilt, tilt)]
-    return 0.5 * total
+            total += 0.5 * mem[sensor_variance_at(mem, r, state)]
+    return total
 
 
 @njit(_nrt=False)

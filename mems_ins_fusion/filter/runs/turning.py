@@ -23,7 +23,9 @@ from ..trust.drift import Drift
 from ..trust.gyroscopes import Gyroscopes
 from ..trust.standstill import Still
 
+#: the parameter whose value is another one,
 PARAMETER = 'imu.mounting_rpy'
+#: and the states of what the filter estimates of it
 STATES = 'mounting_yaw', 'mounting_pitch'
 
 

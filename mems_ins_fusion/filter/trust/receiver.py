@@ -9,8 +9,8 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ...navigation.earth import gravity
-from ..memory import NAV, ROW, Error, Event, Head, Nav, Verdict, element_at, row_of
+from ..measurements.acceleration import tilt_variance
+from ..memory import NAV, ROW, Error, Event, Head, Nav, Verdict, row_of
 from .force_noise import ForceNoise, force_noise, learn_force_noise, learn_from_change
 from .scale import PRIOR, Scale, learn_changes, reopen, reset_scale, scale
 from .scale import learn as learn_scale
@@ -343,12 +343,8 @@ def learn_scatter(mem, r, at):
 @njit(_nrt=False)
 def _unseen_acceleration(mem, r):
     """Variance of an acceleration to north or east that is an error of the tilt, (m/s^2)^2."""
-    most, phi = UNSEEN_ACCELERATION**2, row_of(mem, Error.PHI_N)
-    if phi < 0:
-        return most
-    g = gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT])
-    tilt = 0.5 * (mem[element_at(mem, r, phi, phi)] + mem[element_at(mem, r, phi + 1, phi + 1)])
-    return min(g * g * tilt, most)
+    most = UNSEEN_ACCELERATION**2
+    return min(tilt_variance(mem, r), most) if row_of(mem, Error.PHI_N) >= 0 else most
 
 
 @njit(_nrt=False)
