@@ -37,7 +37,7 @@ from .course import (
     start_covariance,
 )
 from .magnetic import find_magnetic_heading
-from .plausibility import is_backwards, problem_of_driving_off, problem_of_samples
+from .plausibility import is_backwards, mounted_at, problem_in_motion, problem_of_driving_off, problem_of_samples
 from .start import DATUM_FIXES, SavedState, Standstill, Start
 from .two_receivers import find_heading
 
@@ -87,7 +87,8 @@ class Alignment:
         self._scale = np.zeros(Scale.CHANGING_SIZE)  # realised over claimed variance of the fixes
         self._track: list[tuple] = []  # the latest fixes that are SHORTEST_PAIR apart: LINE_FIXES at rest, else two
         self._consistent = 0  # number of fixes that agreed with the noise known so far
-        self._mounting_problem = ''  # problem of the mounting that driving off has shown
+        self._mounting_problem = ''  # problem of the mounting that driving off or the motion has shown
+        self._forwards = False  # whether the motion has shown that the vehicle moves along the body's forward axis
         self._backwards = False  # whether the vehicle drove off backwards
 
     def use_saved(self, saved: SavedState) -> None:
@@ -320,7 +321,7 @@ class Alignment:
         standstill = self._standstill(positions)
         speed, speed_sigma = 0.0, STANDING_SIGMA
         if not self._lasts(standstill):
-            course = find_course(self._samples, positions, standstill, self.config, self._white)
+            course = find_course(self._samples, positions, standstill, self.config, self._white, self._forwards)
             if course is None:
                 raise Refused(f'{SHORTEST_STILL:.0f} s at rest or motion')
             speed, speed_sigma = course.speed, course.speed_sigma
@@ -348,7 +349,11 @@ class Alignment:
         # the direction is that of the inertial sensors; the fixes, with their claimed noise, only confirm the distance
         claimed = positions / [1.0, 1.0, 1.0, math.sqrt(self._realised)]
         found = None if standstill is None else driven_off(self._samples, claimed, standstill, self.config)
-        if found is not None:
+        in_motion = mounted_at(self._samples, self._in_blocks(), positions)
+        if in_motion is not None:
+            self._forwards, self._backwards = in_motion == 0.0, False
+            self._mounting_problem = problem_in_motion(in_motion)
+        elif found is not None:
             angle, speed = found
             self._backwards, self._mounting_problem = is_backwards(angle), problem_of_driving_off(angle, speed)
         if self._mounting_problem and not (self._backwards and self._has_reversed(positions, standstill)):
@@ -359,7 +364,7 @@ class Alignment:
         if standstill is None or self._samples[-1, 0] - standstill.end > LONGEST_COURSE_TIME:
             return False
         try:
-            course = find_course(self._samples, positions, standstill, self.config, self._white)
+            course = find_course(self._samples, positions, standstill, self.config, self._white, self._forwards)
         except Refused:
             return False
         return course is not None and course.speed > FASTEST_REVERSE
@@ -373,7 +378,7 @@ class Alignment:
             if course is not None:
                 source = 'heading from two receivers'
             else:
-                course = find_course(self._samples, positions, standstill, self.config, self._white)
+                course = find_course(self._samples, positions, standstill, self.config, self._white, self._forwards)
         if course is None and self._magnetometer is not None:
             return self._start_from_field(positions)
         if course is None:

@@ -80,12 +80,14 @@ def has_moved(positions: np.ndarray, white: float = 1.0) -> bool:
 
 
 def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill | None,
-                config: FilterConfig, white: float = 1.0) -> Course | None:
+                config: FilterConfig, white: float = 1.0, is_forwards: bool = False) -> Course | None:
     """The course from the chord between the newest fix and an earlier one; None while no chord is good enough.
 
     Raises Refused or Contradicted.
 
     imu, positions: as for `at_rest.latest_standstill`. white: share of the variance of the fixes that is white noise.
+    is_forwards: whether the vehicle is known to move along the forward axis where it is fast
+    (`plausibility.mounted_at`).
     The inertial sensors give turn and change of speed: with s the speed at the beginning of the chord and D the
     displacement due to the specific force in the body axes of that time, the chord is C(yaw) ([s T, 0] + D), which
     gives both s and yaw. No sideslip is assumed.
@@ -108,11 +110,11 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
             # an outlier must not count as motion: the fixes in between have to lie on the path
             between = positions[i + 1:-1] - [0.0, n, e, 0.0]
             if standstill is not None:
-                return (_of_chord(imu, chord, time, now, noise, between, standstill, config)
-                        or _of_curved_path(imu, positions, standstill, config))
+                return (_of_chord(imu, chord, time, now, noise, between, standstill, config, is_forwards)
+                        or _of_curved_path(imu, positions, standstill, config, is_forwards))
             tried = interval
             try:
-                found = _of_chord(imu, chord, time, now, noise, between, None, config)
+                found = _of_chord(imu, chord, time, now, noise, between, None, config, is_forwards)
             except Refused as reason:
                 refused = refused or reason
                 continue
@@ -120,10 +122,10 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
                 return found
     if refused is not None:
         raise refused
-    return _of_curved_path(imu, positions, standstill, config)
+    return _of_curved_path(imu, positions, standstill, config, is_forwards)
 
 
-def _of_curved_path(imu, positions, standstill, config) -> Course | None:
+def _of_curved_path(imu, positions, standstill, config, is_forwards) -> Course | None:
     """The course of a vehicle that never goes straight for long: least squares of heading and speeds to the fixes.
 
     With the turn t(tau) that the gyroscope shows from tau to the newest fix, and as complex numbers north + i east, the
@@ -163,7 +165,9 @@ def _of_curved_path(imu, positions, standstill, config) -> Course | None:
     inverse = np.linalg.inv(triangle)
     speeds = (inverse @ (q.T @ (math.cos(yaw) * back[0] + math.sin(yaw) * back[1])))[2:]
     speed_sigma = float(np.linalg.norm(inverse[2:], axis=1)[-1])
-    sign = _direction(imu, now, standstill, speeds[-1], -speeds[-1], speed_sigma, config) if abs(speeds[-1]) > 0 else 0
+    sign = 0
+    if abs(speeds[-1]) > 0:
+        sign = _direction(imu, now, standstill, speeds[-1], -speeds[-1], speed_sigma, config, is_forwards)
     if standstill is None or now - standstill.end > LONGEST_COURSE_TIME:
         sign = 1 if speeds.sum() > 0 else -1  # the solution is ambiguous by half a turn: assume forward motion
     # at best as accurate as a chord of the same length: common errors of the fixes do not show in the residuals
@@ -227,7 +231,7 @@ def driven_off(imu: np.ndarray, positions: np.ndarray, standstill: Standstill,
     return None
 
 
-def _of_chord(imu, chord, time, now, noise, between, standstill, config) -> Course | None:
+def _of_chord(imu, chord, time, now, noise, between, standstill, config, is_forwards) -> Course | None:
     """The course of a chord (north, east) from `time` to `now` with the noise `noise`, m; None if it is not certain.
 
     between: fixes that have to lie on the path, rows of time, north, east from the beginning of the chord, sigma.
@@ -239,7 +243,7 @@ def _of_chord(imu, chord, time, now, noise, between, standstill, config) -> Cour
     speed_sigma = math.hypot(noise / interval, 0.5 * motion.bias_f * interval)
     forward = math.sqrt(distance**2 - motion.moved[1] ** 2)
     sign = _direction(imu, time, standstill, (forward - motion.moved[0]) / interval,
-                      (-forward - motion.moved[0]) / interval, speed_sigma, config)
+                      (-forward - motion.moved[0]) / interval, speed_sigma, config, is_forwards)
     if sign == 0:
         return None
     forward *= sign
@@ -301,11 +305,13 @@ def _bent(config, duration: float) -> float:
                0.1 * _wandered(config, duration))
 
 
-def _direction(imu, time, standstill, forwards, backwards, sigma, config) -> int:
+def _direction(imu, time, standstill, forwards, backwards, sigma, config, is_forwards) -> int:
     """1 forwards, -1 backwards, 0 unclear: which of two speeds at `time` agrees with the accelerometers since the
-    standstill."""
+    standstill. is_forwards: as for `find_course`."""
     if standstill is None:
         return 1
+    if is_forwards and max(forwards, backwards) > FASTEST_REVERSE:
+        return 1 if forwards > backwards else -1
     since = time - standstill.end
     motion = inertial_motion(imu, standstill.end, time, standstill, config)
     expected = 0.0

@@ -9,7 +9,8 @@ import math
 import numpy as np
 
 from ..config import FilterConfig
-from .course import FASTEST_REVERSE
+from .at_rest import STILL_BLOCK, Blocks
+from .course import DIRECTION_CERTAIN, FASTEST, FASTEST_REVERSE
 
 LARGEST_TILT = math.radians(40.0)  # rad, largest tilt of an IMU whose mounting is as configured, on any road
 FASTEST_TURN = 3.0  # rad/s, largest mean turn rate of a vehicle over a second
@@ -20,6 +21,16 @@ MOST_GRAVITY = 14.0
 MOST_G = 2.0  # a mean specific force from 1 / MOST_G to MOST_G is reported as one in g
 #: rad from straight forward or backward: no vehicle with wheels drives off in other directions
 SIDEWAYS = math.radians(45.0)
+#: s over which the speed is the distance between fixes: their noise is small beside it, and a bend hardly shorter
+SPEED_INTERVAL = 4.0
+#: number of blocks in motion from which the direction of motion is determined. Chosen, not measured
+FEWEST_DRIVEN = 10
+MOVING_SIGMAS = 3.0  # standard deviations by which a speed by two fixes has to exceed their noise
+#: m/s^2, smallest standard deviation of the horizontal specific force beside the acceleration: a road of 3 deg
+OTHER_FORCE = 0.5
+OTHER_FORCE_TIME = 5.0  # s for which a slope of the road lasts. Chosen, not measured
+#: rad, directions of motion to the right of the body's forward axis between which `mounted_at` decides
+QUARTER_TURNS = 0.5 * math.pi * np.array([0.0, 1.0, 2.0, -1.0])
 
 
 def problem_of_samples(imu: np.ndarray, config: FilterConfig) -> str:
@@ -60,4 +71,50 @@ def problem_of_driving_off(angle: float, speed: float) -> str:
         return (f'an IMU that is mounted as imu.mounting_rpy says: the vehicle drives off '
                 f'{abs(math.degrees(angle)):.0f} deg to the {"right" if angle > 0 else "left"} of its forward axis: '
                 f'add {angle:.2f} to the yaw of imu.mounting_rpy')
+    return ''
+
+
+def mounted_at(imu: np.ndarray, blocks: Blocks, positions: np.ndarray) -> float | None:
+    """The direction of motion to the right of the body's forward axis, one of QUARTER_TURNS, that changes of speed and
+    turns show; None where they do not.
+
+    imu (n, 7 or more): time, specific force and angular rate in body axes, in `blocks`. positions (k, 4): time, north,
+    east, sigma. Whatever the tilt of the IMU, the horizontal specific force changes by the acceleration of the vehicle:
+    forward by the change of speed, to the right by speed times turn rate. As complex numbers forward + i right, the
+    specific force is e^(i direction) times that, plus a constant: the coefficient is found by least squares, and
+    compared with those of the four directions.
+    """
+    middle, time = imu[blocks.starts, 0] + 0.5 * STILL_BLOCK, positions[:, 0]
+    inside = (middle > time[0] + SPEED_INTERVAL) & (middle < time[-1] - SPEED_INTERVAL)
+    north, east = (np.interp(middle[inside, None] + SPEED_INTERVAL * np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), time, axis)
+                   for axis in positions[:, 1:3].T)
+    # over SPEED_INTERVAL, half an interval before, at and half an interval after the middle of each block
+    before, speed, after = (np.hypot(north[:, 2:] - north[:, :-2], east[:, 2:] - east[:, :-2]) / SPEED_INTERVAL).T
+    noise = math.sqrt(2.0) * positions[:, 3].max() / SPEED_INTERVAL
+    driven = (np.maximum(before, after) < FASTEST) & (
+        np.minimum(np.minimum(before, speed), after) > max(FASTEST_REVERSE, MOVING_SIGMAS * noise))
+    if driven.sum() < FEWEST_DRIVEN:
+        return None
+    mean = blocks.mean[inside][driven]
+    acceleration = (after - before)[driven] / SPEED_INTERVAL + 1j * speed[driven] * mean[:, 5]
+    force = mean[:, 0] + 1j * mean[:, 1]
+    acceleration, force = acceleration - acceleration.mean(), force - force.mean()
+    squares = max(float(np.vdot(acceleration, acceleration).real), 1e-9)
+    coefficient = np.vdot(acceleration, force) / squares
+    other = max(OTHER_FORCE, math.sqrt(0.5 * np.mean(np.abs(force - coefficient * acceleration) ** 2)))
+    misfit = np.abs(coefficient - np.exp(1j * QUARTER_TURNS)) ** 2 * squares / (
+        other**2 * OTHER_FORCE_TIME / STILL_BLOCK)
+    best, second = np.argsort(misfit)[:2]
+    return float(QUARTER_TURNS[best]) if misfit[second] - misfit[best] > DIRECTION_CERTAIN else None
+
+
+def problem_in_motion(angle: float) -> str:
+    """Check the mounting by the direction of motion, as of `mounted_at`."""
+    if is_backwards(angle):
+        return ('the vehicle to drive forwards: turns and changes of speed show that it goes backwards; if it does '
+                'not, the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
+    if angle:
+        return ('an IMU that is mounted as imu.mounting_rpy says: turns and changes of speed show that the vehicle '
+                f'moves about 90 deg to the {"right" if angle > 0 else "left"} of its forward axis: add {angle:.2f} to '
+                'the yaw of imu.mounting_rpy')
     return ''
