@@ -19,9 +19,10 @@ from mems_ins_fusion.filter.start.alignment import Alignment, _off_line
 from mems_ins_fusion.filter.start.at_rest import blocks_of
 from mems_ins_fusion.filter.start.course import _bent
 from mems_ins_fusion.filter.start.initial import channel_prior
+from mems_ins_fusion.filter.start.plausibility import direction_in_motion
 from mems_ins_fusion.filter.trust.scale import scale
-from mems_ins_fusion.navigation.earth import radii
-from mems_ins_fusion.navigation.frames import wrap
+from mems_ins_fusion.navigation.earth import radii, to_local
+from mems_ins_fusion.navigation.frames import FLU_TO_FRD, wrap
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk, gauss_markov_at
 from mems_ins_fusion.simulation.drive import Path
 from mems_ins_fusion.simulation.manoeuvres import Segment
@@ -361,6 +362,31 @@ def test_who_seems_to_drive_off_sideways_or_backwards_has_the_imu_turned_and_is_
     # and with that it starts
     right = run(configure(CAR, **{'imu.mounting_rpy': [0.0, 0.0, advice]}), recording.imu, recording.gnss)
     assert abs(wrap(right.start.yaw - COURSE)) < 4 * math.sqrt(right.start.covariance[4, 4])
+
+
+BENDS = Segment(38.0), Segment(6.0, 0.0, 1.5), Segment(6.0, -2.0), Segment(6.0, 1.5), Segment(7.0, 0.0, -1.5)
+
+
+@pytest.mark.parametrize('yaw', [0, 60, 90, 180, 270])
+@pytest.mark.parametrize('course', [0.0, 2.2])
+def test_turns_and_changes_of_speed_show_how_the_imu_is_turned(template, yaw, course):
+    # given a drive of which there is no sample at rest, on a slope that looks like a tilt
+    turned = math.radians(yaw)
+    _, recording = recorded(driven(template, (STAND, GO, *BENDS), course), 3, **CAR,
+                            **{'imu.mounting_rpy': [0.0, math.radians(6.0), turned]})
+    moving = recording.imu.stamp[0] + 18_000_000_000
+    force, rate = recording.imu.specific_force, recording.imu.angular_rate
+    samples = np.column_stack([(recording.imu.stamp - moving) * 1e-9, force @ FLU_TO_FRD, rate @ FLU_TO_FRD])
+    samples = samples[samples[:, 0] >= 0.0]
+    fixes = recording.gnss.select(recording.gnss.stamp >= moving)
+    place = [to_local(*one, (fixes.latitude[0], fixes.longitude[0], fixes.height[0])) for one in zip(
+        fixes.latitude, fixes.longitude, fixes.height)]
+    positions = np.column_stack([(fixes.stamp - moving) * 1e-9, np.array(place)[:, :2], np.full(len(place), 1.5)])
+    # when the way is straight and the speed constant, then it tells nothing
+    straight = slice(0, 35 * round(RATE))
+    assert direction_in_motion(samples[straight], blocks_of(samples[straight]), positions[:36]) is None
+    # when there are bends and brakes, then it tells the direction
+    assert abs(wrap(direction_in_motion(samples, blocks_of(samples), positions) - turned)) < 0.35
 
 
 def test_a_car_that_backs_out_slowly_is_not_told_so(template):

@@ -27,6 +27,7 @@ from .at_rest import (
 from .course import (
     FASTEST_REVERSE,
     LONGEST_COURSE_TIME,
+    Backwards,
     Contradicted,
     Course,
     Refused,
@@ -37,7 +38,7 @@ from .course import (
     start_covariance,
 )
 from .magnetic import find_magnetic_heading
-from .plausibility import is_backwards, mounted_at, problem_in_motion, problem_of_driving_off, problem_of_samples
+from .plausibility import direction_in_motion, is_backwards, problem_of_direction, problem_of_samples
 from .start import DATUM_FIXES, SavedState, Standstill, Start
 from .two_receivers import find_heading
 
@@ -87,9 +88,10 @@ class Alignment:
         self._scale = np.zeros(Scale.CHANGING_SIZE)  # realised over claimed variance of the fixes
         self._track: list[tuple] = []  # the latest fixes that are SHORTEST_PAIR apart: LINE_FIXES at rest, else two
         self._consistent = 0  # number of fixes that agreed with the noise known so far
-        self._mounting_problem = ''  # problem of the mounting that driving off or the motion has shown
+        #: what driving off, or the motion, has shown to be wrong with the mounting
+        self._mounting_problem: Contradicted | None = None
+        self._drove_off = -math.inf  # time of the end of the standstill after which driving off has shown it
         self._forwards = False  # whether the motion has shown that the vehicle moves along the body's forward axis
-        self._backwards = False  # whether the vehicle drove off backwards
 
     def use_saved(self, saved: SavedState) -> None:
         """State of an earlier run: its heading is used if the vehicle has been at rest ever since the first sample."""
@@ -178,6 +180,9 @@ class Alignment:
                 self._start_from_course(positions) if source == 'course' else
                 self._start_with_heading(source, positions))
         except Refused as reason:
+            if isinstance(reason, Backwards) and not self._mounting_problem:
+                standstill = self._standstill(positions)
+                self._mounting_problem, self._drove_off = reason, standstill.end if standstill else -math.inf
             self.waiting_for, self.contradicted = str(reason), isinstance(reason, Contradicted)
             return None
 
@@ -346,21 +351,36 @@ class Alignment:
         if not self.config.vehicle.lateral_sigma:
             return  # without the non-holonomic constraint the vehicle may drive off in any direction
         standstill = self._standstill(positions)
-        # the direction is that of the inertial sensors; the fixes, with their claimed noise, only confirm the distance
-        claimed = positions / [1.0, 1.0, 1.0, math.sqrt(self._realised)]
-        found = None if standstill is None else driven_off(self._samples, claimed, standstill, self.config)
-        in_motion = mounted_at(self._samples, self._in_blocks(), positions)
+        self._look_at_direction(positions, standstill)
+        if self._mounting_problem and not (isinstance(self._mounting_problem, Backwards)
+                                           and self._has_reversed(positions, standstill)):
+            raise self._mounting_problem
+
+    def _look_at_direction(self, positions, standstill) -> None:
+        """Set what the direction of motion, or of driving off, shows to be wrong with the mounting."""
+        known = self._mounting_problem
+        if isinstance(known, Backwards) and standstill is not None and standstill.end > self._drove_off:
+            known = None  # it drives off again, which shows it again
+        in_motion = direction_in_motion(self._samples, self._in_blocks(), positions)
         if in_motion is not None:
-            self._forwards, self._backwards = in_motion == 0.0, False
-            self._mounting_problem = problem_in_motion(in_motion)
-        elif found is not None:
-            angle, speed = found
-            self._backwards, self._mounting_problem = is_backwards(angle), problem_of_driving_off(angle, speed)
-        if self._mounting_problem and not (self._backwards and self._has_reversed(positions, standstill)):
-            raise Contradicted(self._mounting_problem)
+            found, moves, self._drove_off = in_motion, 'moves', math.inf
+            self._forwards = not problem_of_direction(found, moves)
+        elif standstill is not None:
+            # the direction is that of the inertial sensors; the fixes, with their claimed noise, confirm the distance
+            claimed = positions / [1.0, 1.0, 1.0, math.sqrt(self._realised)]
+            found, moves = driven_off(self._samples, claimed, standstill, self.config), 'drives off'
+            self._drove_off = standstill.end if found is not None else self._drove_off
+        else:
+            found = None
+        if found is not None:
+            problem = problem_of_direction(found, moves)
+            kind = Backwards if is_backwards(found) and moves == 'drives off' else Contradicted
+            # the first one stays: others have slightly different numbers
+            known = (known or kind(problem)) if problem else None
+        self._mounting_problem = known
 
     def _has_reversed(self, positions, standstill) -> bool:
-        """Whether a vehicle that drove off backwards now moves forwards: then the IMU is not mounted backwards."""
+        """Whether a vehicle that went backwards now moves forwards: then the IMU is not mounted backwards."""
         if standstill is None or self._samples[-1, 0] - standstill.end > LONGEST_COURSE_TIME:
             return False
         try:

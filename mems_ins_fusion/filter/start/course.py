@@ -16,7 +16,7 @@ from .start import KNOWN_FORCE_SIGMA, KNOWN_RATE_SIGMA, UNKNOWN_TILT_FORCE, Stan
 
 COURSE_SIGMA = 0.1  # rad, largest noise over length of a chord from which a course is computed. Chosen, not measured
 FASTEST = 70.0  # m/s, largest speed of a land vehicle
-FASTEST_REVERSE = 3.0  # m/s: no vehicle starts faster in reverse; if it seems to, the IMU is mounted backwards
+FASTEST_REVERSE = 3.0  # m/s: no vehicle starts faster in reverse
 SHORTEST_COURSE = 1.0  # m, shortest chord
 LONGEST_COURSE_TIME = 60.0  # s, longest chord in time: over longer times the biases of the inertial sensors are large
 SLOWEST_START = 0.2  # m/s: at a lower speed a chord of a minute is no longer than body and antenna sway
@@ -61,6 +61,11 @@ class Contradicted(Refused):
     """There is no start because the inputs contradict the parameters, so that waiting does not help."""
 
 
+class Backwards(Contradicted):
+    """There is no start because the vehicle seems to go backwards. One that does, and one whose IMU is mounted
+    backwards, are the same until it drives forwards."""
+
+
 class _Motion(NamedTuple):
     """Motion by the inertial sensors between two times, in the body axes of the first."""
 
@@ -83,11 +88,11 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
                 config: FilterConfig, white: float = 1.0, is_forwards: bool = False) -> Course | None:
     """The course from the chord between the newest fix and an earlier one; None while no chord is good enough.
 
-    Raises Refused or Contradicted.
+    Raises Refused, Contradicted or Backwards.
 
     imu, positions: as for `at_rest.latest_standstill`. white: share of the variance of the fixes that is white noise.
     is_forwards: whether the vehicle is known to move along the forward axis where it is fast
-    (`plausibility.mounted_at`).
+    (`plausibility.direction_in_motion`).
     The inertial sensors give turn and change of speed: with s the speed at the beginning of the chord and D the
     displacement due to the specific force in the body axes of that time, the chord is C(yaw) ([s T, 0] + D), which
     gives both s and yaw. No sideslip is assumed.
@@ -208,8 +213,8 @@ def _since(positions: np.ndarray, standstill: Standstill) -> np.ndarray:
 
 
 def driven_off(imu: np.ndarray, positions: np.ndarray, standstill: Standstill,
-               config: FilterConfig) -> tuple[float, float] | None:
-    """Direction in which the vehicle drove off after `standstill`, rad to the right of the body's forward axis; speed.
+               config: FilterConfig) -> float | None:
+    """Direction in which the vehicle drove off after `standstill`, rad to the right of the body's forward axis.
 
     None where IMU and fixes do not show the same distance, or not yet. Arguments as for `find_course`.
     """
@@ -227,7 +232,7 @@ def driven_off(imu: np.ndarray, positions: np.ndarray, standstill: Standstill,
             continue
         by_imu = math.hypot(*motion.moved)
         if by_imu > 5.0 * uncertain and abs(by_imu - by_fixes) < 2.0 * uncertain + 0.2 * by_imu:
-            return math.atan2(motion.moved[1], motion.moved[0]), math.hypot(*motion.gained)
+            return math.atan2(motion.moved[1], motion.moved[0])
     return None
 
 
@@ -253,14 +258,14 @@ def _of_chord(imu, chord, time, now, noise, between, standstill, config, is_forw
                           + (0.5 * motion.bias_f * interval**2 / distance) ** 2 + SIDESLIP_SIGMA**2)
     if abs(speed) > FASTEST:
         raise Contradicted(f'possible fixes: they move at {abs(speed):.0f} m/s')
-    if sign < 0 and abs(last) > FASTEST_REVERSE:
-        raise Contradicted(f'the vehicle to drive forwards: it seems to go backwards at {abs(last):.1f} m/s; if it '
-                           'does not, the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
     if abs(last) < SLOWEST_START or yaw_sigma > LARGEST_YAW_SIGMA:
         return None
     yaw = math.atan2(chord[1], chord[0]) - math.atan2(motion.moved[1], forward)
     if not _on_path(imu, between, time, now, yaw, speed, noise, standstill, config):
         return None
+    if last < 0.0 and (config.vehicle.lateral_sigma or -last > FASTEST_REVERSE):
+        raise Backwards('the vehicle to drive forwards: it seems to go backwards; if it does not, the IMU is mounted '
+                        'the other way round: turn the yaw of imu.mounting_rpy by pi')
     return Course(yaw + motion.turn, math.copysign(math.hypot(last, motion.gained[1]), last), yaw_sigma, speed_sigma)
 
 

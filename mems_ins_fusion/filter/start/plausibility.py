@@ -29,7 +29,7 @@ MOVING_SIGMAS = 3.0  # standard deviations by which a speed by two fixes has to 
 #: m/s^2, smallest standard deviation of the horizontal specific force beside the acceleration: a road of 3 deg
 OTHER_FORCE = 0.5
 OTHER_FORCE_TIME = 5.0  # s for which a slope of the road lasts. Chosen, not measured
-#: rad, directions of motion to the right of the body's forward axis between which `mounted_at` decides
+#: rad, directions of motion to the right of the body's forward axis between which `direction_in_motion` decides
 QUARTER_TURNS = 0.5 * math.pi * np.array([0.0, 1.0, 2.0, -1.0])
 
 
@@ -61,22 +61,24 @@ def is_backwards(angle: float) -> bool:
     return abs(angle) > math.pi - SIDEWAYS
 
 
-def problem_of_driving_off(angle: float, speed: float) -> str:
-    """Check the mounting by the direction (as for `is_backwards`) and the speed, m/s, at which the vehicle drives off.
+def problem_of_direction(angle: float, moves: str) -> str:
+    """Check the mounting by the direction in which the vehicle moves, rad to the right of the body's forward axis.
+
+    moves: the verb for what it does.
     """
-    if is_backwards(angle) and speed > FASTEST_REVERSE:
-        return (f'the vehicle to drive forwards: it drives off backwards at {speed:.1f} m/s; if it does not, the IMU '
-                'is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
-    if SIDEWAYS < abs(angle) < math.pi - SIDEWAYS:
-        return (f'an IMU that is mounted as imu.mounting_rpy says: the vehicle drives off '
+    if is_backwards(angle):
+        return (f'the vehicle to drive forwards: it {moves} backwards; if it does not, the IMU is mounted the other '
+                'way round: turn the yaw of imu.mounting_rpy by pi')
+    if abs(angle) > SIDEWAYS:
+        return (f'an IMU that is mounted as imu.mounting_rpy says: the vehicle {moves} '
                 f'{abs(math.degrees(angle)):.0f} deg to the {"right" if angle > 0 else "left"} of its forward axis: '
                 f'add {angle:.2f} to the yaw of imu.mounting_rpy')
     return ''
 
 
-def mounted_at(imu: np.ndarray, blocks: Blocks, positions: np.ndarray) -> float | None:
-    """The direction of motion to the right of the body's forward axis, one of QUARTER_TURNS, that changes of speed and
-    turns show; None where they do not.
+def direction_in_motion(imu: np.ndarray, blocks: Blocks, positions: np.ndarray) -> float | None:
+    """Direction of motion that changes of speed and turns show, rad to the right of the body's forward axis; None
+    where they do not tell to which of QUARTER_TURNS it is next.
 
     imu (n, 7 or more): time, specific force and angular rate in body axes, in `blocks`. positions (k, 4): time, north,
     east, sigma. Whatever the tilt of the IMU, the horizontal specific force changes by the acceleration of the vehicle:
@@ -86,13 +88,13 @@ def mounted_at(imu: np.ndarray, blocks: Blocks, positions: np.ndarray) -> float 
     """
     middle, time = imu[blocks.starts, 0] + 0.5 * STILL_BLOCK, positions[:, 0]
     inside = (middle > time[0] + SPEED_INTERVAL) & (middle < time[-1] - SPEED_INTERVAL)
-    north, east = (np.interp(middle[inside, None] + SPEED_INTERVAL * np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), time, axis)
-                   for axis in positions[:, 1:3].T)
+    at = middle[inside, None] + SPEED_INTERVAL * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+    north, east, sigma = (np.interp(at, time, column) for column in positions[:, 1:].T)
     # over SPEED_INTERVAL, half an interval before, at and half an interval after the middle of each block
     before, speed, after = (np.hypot(north[:, 2:] - north[:, :-2], east[:, 2:] - east[:, :-2]) / SPEED_INTERVAL).T
-    noise = math.sqrt(2.0) * positions[:, 3].max() / SPEED_INTERVAL
+    noise = math.sqrt(2.0) * sigma.max(axis=1) / SPEED_INTERVAL
     driven = (np.maximum(before, after) < FASTEST) & (
-        np.minimum(np.minimum(before, speed), after) > max(FASTEST_REVERSE, MOVING_SIGMAS * noise))
+        np.minimum(np.minimum(before, speed), after) > np.maximum(FASTEST_REVERSE, MOVING_SIGMAS * noise))
     if driven.sum() < FEWEST_DRIVEN:
         return None
     mean = blocks.mean[inside][driven]
@@ -104,17 +106,5 @@ def mounted_at(imu: np.ndarray, blocks: Blocks, positions: np.ndarray) -> float 
     other = max(OTHER_FORCE, math.sqrt(0.5 * np.mean(np.abs(force - coefficient * acceleration) ** 2)))
     misfit = np.abs(coefficient - np.exp(1j * QUARTER_TURNS)) ** 2 * squares / (
         other**2 * OTHER_FORCE_TIME / STILL_BLOCK)
-    best, second = np.argsort(misfit)[:2]
-    return float(QUARTER_TURNS[best]) if misfit[second] - misfit[best] > DIRECTION_CERTAIN else None
-
-
-def problem_in_motion(angle: float) -> str:
-    """Check the mounting by the direction of motion, as of `mounted_at`."""
-    if is_backwards(angle):
-        return ('the vehicle to drive forwards: turns and changes of speed show that it goes backwards; if it does '
-                'not, the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
-    if angle:
-        return ('an IMU that is mounted as imu.mounting_rpy says: turns and changes of speed show that the vehicle '
-                f'moves about 90 deg to the {"right" if angle > 0 else "left"} of its forward axis: add {angle:.2f} to '
-                'the yaw of imu.mounting_rpy')
-    return ''
+    best, second = np.sort(misfit)[:2]
+    return float(np.angle(coefficient)) if second - best > DIRECTION_CERTAIN else None
