@@ -365,7 +365,7 @@ class Alignment:
         if in_motion is not None:
             found, moves, self._drove_off = in_motion, 'moves', math.inf
             self._forwards = not problem_of_direction(found, moves)
-        elif standstill is not None:
+        elif standstill is not None and self._drove_off < math.inf:  # no better evidence so far
             # the direction is that of the inertial sensors; the fixes, with their claimed noise, confirm the distance
             claimed = positions / [1.0, 1.0, 1.0, math.sqrt(self._realised)]
             found, moves = driven_off(self._samples, claimed, standstill, self.config), 'drives off'
@@ -375,8 +375,8 @@ class Alignment:
         if found is not None:
             problem = problem_of_direction(found, moves)
             kind = Backwards if is_backwards(found) and moves == 'drives off' else Contradicted
-            # the first one stays: others have slightly different numbers
-            known = (known or kind(problem)) if problem else None
+            # the first one of its kind stays: others have slightly different numbers
+            known = (known if type(known) is kind else kind(problem)) if problem else None
         self._mounting_problem = known
 
     def _has_reversed(self, positions, standstill) -> bool:

@@ -26,8 +26,8 @@ SPEED_INTERVAL = 4.0
 #: number of blocks in motion from which the direction of motion is determined. Chosen, not measured
 FEWEST_DRIVEN = 10
 MOVING_SIGMAS = 3.0  # standard deviations by which a speed by two fixes has to exceed their noise
-#: m/s^2, smallest standard deviation of the horizontal specific force beside the acceleration: a road of 3 deg
-OTHER_FORCE = 0.5
+#: m/s^2, smallest standard deviation of the horizontal specific force beside the acceleration: a slope of 1.7 deg
+OTHER_FORCE = 0.3
 OTHER_FORCE_TIME = 5.0  # s for which a slope of the road lasts. Chosen, not measured
 #: rad, directions of motion to the right of the body's forward axis between which `direction_in_motion` decides
 QUARTER_TURNS = 0.5 * math.pi * np.array([0.0, 1.0, 2.0, -1.0])
