@@ -389,6 +389,38 @@ def test_turns_and_changes_of_speed_show_how_the_imu_is_turned(template, yaw, co
     assert abs(wrap(direction_in_motion(samples, blocks_of(samples), positions) - turned)) < 0.35
 
 
+@pytest.mark.parametrize('yaw', [0, 90, 180])
+def test_a_start_in_motion_is_taken_back_where_the_motion_shows_that_the_imu_is_turned(yaw):
+    # given a recording that begins in motion, and an IMU that is turned by so much
+    drive = simulate_drive(150.0, 3, RATE, standstill=5.0)
+    _, recording = recorded(drive, 2, **CAR, **{'imu.mounting_rpy': [0.0, 0.0, math.radians(yaw)]})
+    moving = recording.imu.stamp[0] + 40_000_000_000
+    imu, gnss = (part.select(part.stamp > moving) for part in (recording.imu, recording.gnss))
+    # when a filter that is told that it is not takes it, live
+    fusion = FusionFilter(configure(CAR))
+    published, off = [], []
+    fix = 0
+    for stamp, force, rate in zip(imu.stamp.tolist(), imu.specific_force.tolist(), imu.angular_rate.tolist()):
+        while fix < len(gnss) and gnss.received[fix] <= stamp:
+            fusion.add_fix(int(gnss.stamp[fix]), gnss.latitude[fix], gnss.longitude[fix], gnss.height[fix],
+                           gnss.covariance[fix], int(gnss.status[fix]), int(gnss.covariance_type[fix]))
+            fix += 1
+        if fusion.add_imu(stamp, *force, *rate) and fusion.state == 'fusing':
+            published.append((stamp - moving) * 1e-9)
+            fusion.update_odometry()
+            true = np.array([np.interp(stamp, recording.reference.stamp, getattr(recording.reference, name))
+                             for name in ('latitude', 'longitude', 'height')])
+            off.append(np.hypot(*to_local(*fusion.geodetic, true)[:2]))
+    said = texts(fusion.notices())
+    # then it starts at once; one that is turned has no estimate as soon as bends and brakes show it, and says why
+    assert published[0] < 10.0
+    assert max(off) < 30.0
+    assert any('the start is taken back' in text for text in said) == bool(yaw)
+    assert (published[-1] < 50.0) == bool(yaw)
+    # and a replay of the same has none, or the same
+    assert (run(configure(CAR), imu, gnss).start is None) == bool(yaw)
+
+
 def test_a_car_that_backs_out_slowly_is_not_told_so(template):
     _, recording = recorded(driven(template, ROUTES['backwards']), 3, **CAR)
     assert run(configure(CAR), recording.imu, recording.gnss).start is not None

@@ -97,7 +97,7 @@ class FusionFilter(FilterStatus):
         self._newest_fix = 0
         self._outage = False
         self._last = dict.fromkeys(self._last, -1)
-        self._pending: dict[int, tuple[int, int]] = {}
+        self._pending: dict[int, tuple[int, int]] = {}  # measurements not judged yet
         self._judged: list[Judgement] = []
         self._ids = 0
         #: counts of each input, by its name
@@ -179,6 +179,8 @@ class FusionFilter(FilterStatus):
                 return False
             self._filter(self._provisional, sample, self._log, self._none)
             return True
+        if self._alignment.is_watching:
+            self._alignment.add_samples(sample)
         if sample[0, 0] >= self._withheld.due:
             self._withheld.before(float(sample[0, 0]), self._memory)
         self._filter(self._memory, sample, self._log, self._none)
@@ -250,6 +252,10 @@ class FusionFilter(FilterStatus):
                     self._without_heading = self._alignment.provisional()
                     self._provisional = None if self._without_heading is None else self._started(self._without_heading)
             return
+        if kind == Kind.POSITION and self._alignment.is_watching and (
+                self._alignment.takes_back_the_start(record, self.say)):
+            self._begin_again()
+            return
         record[Event.ID] = self._ids
         self._ids += 1
         answer = self._filter(self._memory, self._sample[:0], records, self._before)
@@ -265,6 +271,12 @@ class FusionFilter(FilterStatus):
         self._memory, self._newest_fix = self._started(start), stamp
         self._follow_withheld()
         self._provisional = None
+
+    def _begin_again(self) -> None:
+        """Discard the running filter, and go on with the alignment."""
+        self._memory, self._withheld = None, Withheld(self.config)
+        self._pending.clear()
+        self._outage = False
 
     def _follow_withheld(self) -> None:
         """Have copies without fixes of the present filter, where a horizon is asked of it."""

@@ -222,7 +222,7 @@ class Replay(Intake):
             start = remeasured(self.given, self.config, samples)
             first = int(np.searchsorted(events.record[fixes, Event.TIME], start.time + 1e-6, side='right'))
             return start, int(fixes[first]) if first < len(fixes) else len(events.kind)
-        alignment, fed = self._alignment(), 0
+        alignment, fed, found, after = self._alignment(), 0, None, len(events.kind)
         if saved is not None:
             alignment.use_saved(saved)
         for i in np.flatnonzero((events.kind == Kind.POSITION)
@@ -234,9 +234,14 @@ class Replay(Intake):
             orientation = None if self.imu.orientation is None else self.imu.orientation[kept[fed:upto]]
             alignment.add_samples(samples[fed:upto], orientation)
             fed = upto
-            start = alignment.add_record(events.record[i], self.say)
-            if start is not None:
-                return start, i + 1
+            if found is None:
+                found, after = alignment.add_record(events.record[i], self.say), i + 1
+            elif alignment.takes_back_the_start(events.record[i], self.say):
+                found = None
+            if found is not None and not alignment.is_watching:
+                return found, after
+        if found is not None:
+            return found, after
         missing = alignment.waiting_for if len(fixes) else f'a usable fix on {self.config.gnss.topic}'
         self.say('error', f'the filter did not start: waiting for {missing}')
         return None, len(events.kind)

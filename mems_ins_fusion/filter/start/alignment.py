@@ -43,6 +43,8 @@ from .start import DATUM_FIXES, SavedState, Standstill, Start
 from .two_receivers import find_heading
 
 LONGEST_KEPT = 300.0  # s of samples and fixes kept while waiting
+#: s after the first sample for which the motion may take a start back. Vehicles have turned and braked by then
+LONGEST_WATCHED = 300.0
 RECENT = 10.0  # s of samples and fixes from which a present standstill, or the speed of a slow vehicle, is determined
 SIGNIFICANT = 3.0  # standard deviations of two fixes by which their displacement has to contradict a heading
 SPEED_CHANGE_SIGMA = 0.3  # m/s, standard deviation of a slow vehicle's present speed about its mean over RECENT. Chosen
@@ -157,10 +159,9 @@ class Alignment:
         """Add one valid fix of the antenna; covariance: north-east (2, 2) m^2. Returns the start once there is one."""
         if not self._count:
             return None
-        self._forget(time - LONGEST_KEPT)
         variance = float(0.5 * (covariance[0, 0] + covariance[1, 1]))
         self._learn_noise(time, latitude, longitude, height, variance)
-        insort(self._fixes, (time, latitude, longitude, variance, height, covariance), key=lambda fix: fix[0])
+        self._keep_fix(time, latitude, longitude, variance, height, covariance)
         ahead = time - self._samples[-1, 0]
         self.contradicted = ahead > self.config.ahead
         if self.contradicted:
@@ -185,6 +186,24 @@ class Alignment:
                 self._mounting_problem, self._drove_off = reason, standstill.end if standstill else -math.inf
             self.waiting_for, self.contradicted = str(reason), isinstance(reason, Contradicted)
             return None
+
+    @property
+    def is_watching(self) -> bool:
+        """Whether the motion may still show, after the start, that the IMU is mounted in another direction."""
+        return bool(self.config.vehicle.lateral_sigma and not self._forwards and self._count
+                    and self._imu[self._count - 1, 0] - self._first < LONGEST_WATCHED)
+
+    def takes_back_the_start(self, record: np.ndarray, say) -> bool:
+        """Add one valid fix after the start, as a record. Returns whether the motion by now contradicts the mounting:
+        then there is no start yet. Messages to the user go to say(level, text)."""
+        variance = 0.5 * (record[Event.R_NN] + record[Event.R_EE])
+        self._keep_fix(*record[[Event.TIME, Event.LATITUDE, Event.LONGITUDE]], variance, record[Event.HEIGHT], None)
+        found = direction_in_motion(self._samples, self._in_blocks(), self._positions())
+        problem = '' if found is None else self._judge_motion(found)
+        if problem:
+            self.waiting_for, self.contradicted = problem, True
+            say('error', f'{self.config.imu.topic}: the start is taken back; waiting for {problem}')
+        return bool(problem)
 
     def provisional(self) -> Start | None:
         """A start while the heading is unknown: at the newest fix, at rest or at an unknown velocity.
@@ -214,6 +233,11 @@ class Alignment:
         covariance[[2, 3, 4], [2, 3, 4]] = speed**2, speed**2, UNKNOWN_YAW_SIGMA**2
         return Start(time - ahead, latitude, longitude, height + arm[2], np.zeros(2), math.pi / 2, covariance, still,
                      gnss_scale=self._scale.copy())
+
+    def _keep_fix(self, *fix) -> None:
+        """Keep a fix: time, latitude, longitude, variance, height, covariance."""
+        self._forget(fix[0] - LONGEST_KEPT)
+        insort(self._fixes, fix, key=lambda fix: fix[0])
 
     def _forget(self, before: float) -> None:
         first = int(np.searchsorted(self._samples[:, 0], before))
@@ -360,24 +384,31 @@ class Alignment:
         """Set what the direction of motion, or of driving off, shows to be wrong with the mounting."""
         known = self._mounting_problem
         if isinstance(known, Backwards) and standstill is not None and standstill.end > self._drove_off:
-            known = None  # it drives off again, which shows it again
+            self._mounting_problem = None  # it drives off again, which shows it again
         in_motion = direction_in_motion(self._samples, self._in_blocks(), positions)
         if in_motion is not None:
-            found, moves, self._drove_off = in_motion, 'moves', math.inf
-            self._forwards = not problem_of_direction(found, moves)
+            self._judge_motion(in_motion)
         elif standstill is not None and self._drove_off < math.inf:  # no better evidence so far
             # the direction is that of the inertial sensors; the fixes, with their claimed noise, confirm the distance
             claimed = positions / [1.0, 1.0, 1.0, math.sqrt(self._realised)]
-            found, moves = driven_off(self._samples, claimed, standstill, self.config), 'drives off'
-            self._drove_off = standstill.end if found is not None else self._drove_off
-        else:
-            found = None
-        if found is not None:
-            problem = problem_of_direction(found, moves)
-            kind = Backwards if is_backwards(found) and moves == 'drives off' else Contradicted
-            # the first one of its kind stays: others have slightly different numbers
-            known = (known if type(known) is kind else kind(problem)) if problem else None
-        self._mounting_problem = known
+            found = driven_off(self._samples, claimed, standstill, self.config)
+            if found is not None:
+                self._set_problem(problem_of_direction(found, 'drives off'),
+                                  Backwards if is_backwards(found) else Contradicted)
+                self._drove_off = standstill.end
+
+    def _judge_motion(self, direction: float) -> str:
+        """Set and return what `direction_in_motion` shows to be wrong with the mounting; '' where it is right."""
+        problem = problem_of_direction(direction, 'moves')
+        self._forwards, self._drove_off = not problem, math.inf
+        self._set_problem(problem, Contradicted)
+        return problem
+
+    def _set_problem(self, problem: str, kind: type[Contradicted]) -> None:
+        if not problem:
+            self._mounting_problem = None
+        elif type(self._mounting_problem) is not kind:  # the first one stays: others have slightly different numbers
+            self._mounting_problem = kind(problem)
 
     def _has_reversed(self, positions, standstill) -> bool:
         """Whether a vehicle that went backwards now moves forwards: then the IMU is not mounted backwards."""
