@@ -44,15 +44,26 @@ LIDAR = {'inputs': ['lidar'], 'lidar.type': 'pose', 'lidar.topic': '/lidar/odome
 INPUTS = {**{name: {f'{name}_topic': f'/{name}'} for name in ('speed', 'velocity', 'twist', 'heading', 'pressure',
                                                                    'magnetometer')},
           'lidar': LIDAR, 'rear': REAR, 'second': SECOND}
+
+
+def _noise(shape):
+    """White noise of one, the same each time."""
+    return np.random.default_rng(0).standard_normal(shape)
+
+
 #: what it does to samples, by words
 WRONG: dict[str, dict[str, Callable]] = {
     'speed': {'in km/h': lambda s: replace(s, speed=3.6 * s.speed),
-              'a tenth more': lambda s: replace(s, speed=1.1 * s.speed)},
+              'a tenth more': lambda s: replace(s, speed=1.1 * s.speed),
+              'scatters by 2 m/s': lambda s: replace(s, speed=s.speed + 2.0 * _noise(len(s.speed)))},
     'velocity': {'north and east exchanged': lambda s: replace(s, velocity=s.velocity[:, [1, 0, 2]]),
                  'in km/h': lambda s: replace(s, velocity=3.6 * s.velocity),
-                 'of the other sign': lambda s: replace(s, velocity=-s.velocity)},
-    'twist': {'in km/h, turns the other way': lambda s: replace(s, twist=s.twist * [3.6, 3.6, -1.0])},
-    'heading': {'90 deg off': lambda s: replace(s, yaw=s.yaw + 0.5 * np.pi),
+                 'of the other sign': lambda s: replace(s, velocity=-s.velocity),
+                 'scatters by 2 m/s': lambda s: replace(s, velocity=s.velocity + 2.0 * _noise(s.velocity.shape))},
+    'twist': {'scatters by 2 m/s': lambda s: replace(s, twist=s.twist + [2.0, 2.0, 0.0] * _noise(s.twist.shape)),
+              'in km/h, turns the other way': lambda s: replace(s, twist=s.twist * [3.6, 3.6, -1.0])},
+    'heading': {'scatters by 30 deg': lambda s: replace(s, yaw=s.yaw + np.radians(30.0) * _noise(len(s.yaw))),
+                '90 deg off': lambda s: replace(s, yaw=s.yaw + 0.5 * np.pi),
                 '5 deg off': lambda s: replace(s, yaw=s.yaw + np.radians(5.0))},
     'pressure': {'5 hPa off': lambda s: replace(s, pressure=s.pressure + 500.0)},
     'magnetometer': {'beside a magnet of 30 uT': lambda s: replace(s, field=s.field + [3e-5, 3e-5, 0.0])},

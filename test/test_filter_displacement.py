@@ -252,6 +252,26 @@ def test_wheels_that_slip_again_and_again_cost_nothing_at_any_rate(rate, more):
     assert rms(off) < 1.1 * rms(right)
 
 
+@pytest.mark.parametrize('scatter', [0.7, 2.0, 6.0])
+def test_a_speed_that_begins_to_scatter_is_used_with_that_noise(scatter):
+    # given a wheel speed that claims 0.05 m/s or so and scatters by much more from the middle of the drive on
+    for seed in (4, 5):
+        recording = drive(seed, speeds=10.0)
+        speed = recording.speed
+        at = (speed.stamp - speed.stamp[0]) / SECOND
+        noise = scatter * np.random.default_rng(seed).standard_normal(len(at)) * (at > 100.0)
+        noisy, fewer = replace(speed, speed=speed.speed + noise), speed.select(at < 100.0)
+        (off, result), (without, _) = (off_with_fixes(recording, {'speed': one}) for one in (noisy, fewer))
+        # then it costs nothing beside a filter without it, it is not refused, and neither is what is near by chance
+        # taken for exact: the ellipse holds
+        assert rms(off) < 1.1 * rms(without)
+        record = result.measured.record[result.measured.kind == Kind.SPEED]
+        assert (record[-800:, Event.VERDICT] == Verdict.REFUSED).mean() < 0.05
+        truth = truth_of(recording, config('speed').parameters)
+        errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
+        assert np.mean(errors.nees < NEES_95) > 0.93
+
+
 def test_it_is_used_again_when_its_ways_fit():
     # given a wheel speed in km/h for a minute, and right before and after
     recording = drive(3)

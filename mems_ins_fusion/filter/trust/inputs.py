@@ -86,6 +86,8 @@ def factor_and_limits(mem, r, at, n, dimensions):
     unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
     noise = _noise(kind, claimed, before * claimed + unknown)
     squared, variance = _innovation(mem, r, at, n, dimensions)
+    if kind == Kind.SPEED and _alternates(mem, r, at, n, own, squared, variance + noise):
+        noise = max(noise, squared - variance)
     slips = has_displacement(kind) and _slips(mem, own, kind, time, since, squared, variance + noise)
     if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance):
         squared, variance = _innovation(mem, r, at, n, dimensions)
@@ -141,6 +143,19 @@ def _noise(kind, claimed, seen):
         return min(seen, claimed)
     least = LEAST_NOISE if is_of_velocity(kind) else LEAST_HEADING_NOISE
     return min(seen, max(LARGEST_NOISE_FACTOR * claimed, least**2))
+
+
+@njit(_nrt=False)
+def _alternates(mem, r, at, n, own, squared, expected):
+    """Whether a speed is far off that was far off on the other side within LONGEST_SLIP: wheels that slip are too fast
+    or too slow for a while, so this is noise, however large, from which its scale is learned."""
+    if not _is_far_off(Kind.SPEED, squared, expected):
+        return False
+    above = mem[at + Event.Z_N] > product(mem, n, int(mem[Head.SCRATCH_AT]) + n * n, r + NAV)
+    side, other = (Seen.ABOVE, Seen.BELOW) if above else (Seen.BELOW, Seen.ABOVE)
+    time = mem[at + Event.TIME]
+    mem[own + side] = time
+    return mem[own + other] > 0.0 and time - mem[own + other] < LONGEST_SLIP
 
 
 @njit(_nrt=False)

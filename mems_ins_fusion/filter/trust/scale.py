@@ -82,7 +82,9 @@ class _Seen(NamedTuple):
     UNFOLLOWED: int = 42  # by how much its low pass is behind, m/s or rad, and the time, s: measurements/low_pass.py
     UNFOLLOWED_TURN: int = 44  # the same of its turn rate, rad/s,
     TURN: int = 46  # and that of the gyroscopes at its latest message, rad/s
-    SIZE: int = 47
+    ABOVE: int = 47  # times, s, of the latest that were far above and far below what was expected, see trust/inputs.py
+    BELOW: int = 48
+    SIZE: int = 49
 
 
 Seen = _Seen()
