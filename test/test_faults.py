@@ -10,7 +10,7 @@ import pytest
 from mems_ins_fusion.evaluation.metrics import rms
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'studies'))
-from faults import FAULTS, judged  # noqa: E402
+from faults import FAULTS, judged, of_imu  # noqa: E402
 
 SEED = 2001
 #: quiet ones: a claim of sigma is not refused but outgrown, a height is refused alone, a frozen IMU may be at rest,
@@ -80,3 +80,16 @@ def test_a_height_that_is_wrong_takes_the_position_along_at_no_rate_of_the_fixes
     faulty, clean, _ = judged(fault, 9902, 0.2)
     lasts = (faulty.time >= 0) & (faulty.time <= fault.duration + 60.0)
     assert faulty.error[lasts].max() < 2.0 * clean.error[lasts].max()
+
+
+def test_fixes_are_followed_by_a_filter_that_an_imu_has_misled():
+    # given an IMU that is turned by 180 deg for 30 s, as axes that a driver mixes up, with fixes at 10 Hz
+    def turned(force, rate, inside, rng):
+        for values in (force, rate):
+            values[inside] *= [-1.0, -1.0, 1.0]
+
+    faulty, _, _ = judged(of_imu('IMU turned by 180 deg', 30.0, turned), 54102, 10.0)
+    # then, when it is right again, no filter is published that takes the fixes for wrong, as they would have to drift
+    # by 8 m/s
+    later = (faulty.time > 30.0) & (faulty.time < 90.0)
+    assert faulty.error[later].max() < 15.0

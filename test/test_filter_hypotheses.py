@@ -33,6 +33,7 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     reach,
     restart_penalty,
     score_fix,
+    strayed_nats,
 )
 from mems_ins_fusion.filter.trust.line import Line
 from mems_ins_fusion.filter.trust.new_start import are_refused
@@ -305,6 +306,18 @@ def test_fixes_drift_that_leave_the_way_of_the_vehicle(offset, drift, is_so):
     memory[r + Hypothesis.DRIFT:r + Hypothesis.DRIFT + 2] = drift
     memory[r + Hypothesis.VARIANCE:r + Hypothesis.VARIANCE + 3] = 1.0, 0.05, 0.01
     assert is_drifting(memory, r) == is_so
+
+
+@pytest.mark.parametrize('drift', [(3.0, 0.0), (3.0, -4.0), (0.0, 12.0)])
+def test_a_filter_that_strays_and_fixes_that_drift_are_told_apart_by_their_priors(drift):
+    # given a receiver that fails once an hour and then drifts by 0 +- 3 m/s, and an IMU that fails once in a hundred
+    # hours and then leaves a velocity that is off by 0 +- 7 m/s
+    _, memory, r = a_state()
+    memory[r + Hypothesis.DRIFT:r + Hypothesis.DRIFT + 2] = drift
+    receiver, imu = (math.log(rate) + multivariate_normal(cov=sigma**2).logpdf(drift).sum()
+                     for rate, sigma in ((1.0 / 3600.0, 3.0), (1.0 / 3.6e5, 7.0)))
+    # then those are the odds, as both predict the same fixes
+    assert strayed_nats(memory, r) == pytest.approx(imu - receiver)
 
 
 @BOTH

@@ -237,13 +237,14 @@ def _start_without_imu(memory, other, r):
 def _is_better(memory, other, r):
     """Whether the second filter is to be published.
 
-    A second filter that uses no fixes is published only where the first one follows fixes that drift away. A receiver
-    with a constant error is followed: its error bounds that of the filter.
+    A second filter that uses no fixes is published only where the first one follows fixes that drift away, as slowly as
+    receivers do. A receiver with a constant error is followed: its error bounds that of the filter.
     """
     ahead = hypotheses.score(other, r) - hypotheses.score(memory, r)
     if other[r + Hypothesis.FIXES_WRONG] == 0.0:
         return ahead > 0.0
-    return (ahead > SERIOUS_NATS and memory[r + Hypothesis.FIXES_WRONG] == 0.0
+    return (ahead > SERIOUS_NATS and hypotheses.strayed_nats(other, r) < -SERIOUS_NATS
+            and memory[r + Hypothesis.FIXES_WRONG] == 0.0
             and memory[r + Nav.USE_ALL_FIXES] == 0.0 and fix_drift.are_followed(memory, r)
             and hypotheses.is_drifting(other, r))
 

@@ -63,6 +63,8 @@ JUMP_RATE = 1.0 / 20.0
 LOG_RANGE = math.log(1000.0)
 #: m/s: sigma of the drift of wrong fixes, of a receiver that loses its satellites one by one
 DRIFT_SIGMA = 3.0
+#: m/s: sigma of the velocity of a filter that has strayed: half of the speed in cities, by a heading that is off
+STRAYED_SIGMA = 7.0
 #: sigmas beyond which wrong fixes significantly drift, and are off across the velocity
 SIGNIFICANT = 3.0
 #: m^2/s and m^2/s^3, random walks of offset and drift: those of a receiver's filter, not of a vehicle that manoeuvres
@@ -267,6 +269,15 @@ def velocity_if_imu_wrong(mem, r):
     _, _, v_n, v_e = position_and_velocity(mem, r)
     return (v_n - mem[r + Hypothesis.IMU_DRIFT], v_e - mem[r + Hypothesis.IMU_DRIFT + 1],
             mem[r + Hypothesis.IMU_VARIANCE + 2])
+
+
+@njit(_nrt=False)
+def strayed_nats(mem, r):
+    """Nats by which it is more likely that the filter with the state at r has strayed, as the IMU was wrong, than that
+    the fixes that it takes for wrong drift as they do: both explain offset and drift alike, but for their priors."""
+    drift = mem[r + Hypothesis.DRIFT] ** 2 + mem[r + Hypothesis.DRIFT + 1] ** 2
+    ratio = (DRIFT_SIGMA / STRAYED_SIGMA) ** 2
+    return IMU_FAULT_PRIOR - math.log(FAULT_RATE) + math.log(ratio) + 0.5 * drift / DRIFT_SIGMA**2 * (1.0 - ratio)
 
 
 @njit(_nrt=False)
