@@ -62,8 +62,11 @@ from mems_ins_fusion.parameters import table  # noqa: E402
 from mems_ins_fusion.recordings.reading import read_recording  # noqa: E402
 from mems_ins_fusion.simulation.drive import simulate_drive  # noqa: E402
 from mems_ins_fusion.simulation.manoeuvres import SLOW  # noqa: E402
-from mems_ins_fusion.simulation.simulation import Aiding as Simulated  # noqa: E402
-from mems_ins_fusion.simulation.simulation import SensorErrors, simulate_recording  # noqa: E402
+from mems_ins_fusion.simulation.simulation import (  # noqa: E402
+    SensorErrors,
+    SimulatedAiding,  # noqa: E402
+    simulate_recording,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'mems_ins_fusion.filter'
@@ -215,7 +218,8 @@ def robot(seed: int, rate: float):
     """0.4 m/s, with turns on the spot, on a floor that does not shake it, with wheel speed."""
     drive = simulate_drive(60.0 * MINUTES, seed, 50.0, standstill=10.0, manoeuvres=SLOW, grade=0.03, bank=0.03)
     recording = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
-                                   vehicle.GnssNoise(1.5, rate), seed=seed, aiding=Simulated(speed_rate=20.0)).recording
+                                   vehicle.GnssNoise(1.5, rate), seed=seed,
+                                   aiding=SimulatedAiding(speed_rate=20.0)).recording
     return replace(recording, reference=recording.reference.select(slice(None, None, 5)))
 
 
@@ -308,7 +312,7 @@ class Shared(Replay):
     def _filter(self, memory, samples, index, events, epoch):
         kept = np.flatnonzero(self.keep[index])
         states = np.empty((len(kept), len(self.columns)))
-        events.record[:, Event.ID] = np.arange(len(events.kind))
+        events.event[:, Event.ID] = np.arange(len(events.kind))
         work = Playback(samples, events, self.columns, kept, states)
         stop = int(np.searchsorted(samples[:, 0], (self.common - epoch) * 1e-9))
         if self.stretches:  # after a restart, which the others have not

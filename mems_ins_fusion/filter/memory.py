@@ -423,7 +423,7 @@ column = numbered()
 class _Event(NamedTuple):
     """Columns of one measurement: what was measured, and what the filter did with it.
 
-    "Record" and "event" elsewhere mean the same row. It has up to three components, which are called N, E, D whatever
+    It has up to three components, which are called N, E, D whatever
     they are; the first two may be correlated.
     """
 
@@ -537,7 +537,7 @@ def noise_size(layout: StateLayout) -> int:
 
 
 def scratch_size(n: int) -> int:
-    """Number of floats of the scratch: P (n, n), six vectors (n,), and one record."""
+    """Number of floats of the scratch: P (n, n), six vectors (n,), and one event."""
     return n * n + 6 * n + Event.SIZE
 
 

@@ -118,14 +118,14 @@ class Alignment:
         if self._first is None and k:
             self._first = float(samples[0, 0])
 
-    def add_input(self, record: np.ndarray) -> None:
-        """Add one magnetic field, or one fix of a further receiver, as a record."""
-        if record[Event.KIND] == Kind.PLACE:
-            self._places[record[Event.INPUT]].append((record[Event.TIME], record[Event.LATITUDE],
-                                                      record[Event.LONGITUDE], record[Event.R_NN]))
-        elif record[Event.INPUT] == self.config.of_input(self._magnetometer.number)[0]:
-            self._fields.append((record[Event.TIME], *record[Event.VALUE:Event.VALUE + 3], record[Event.R_NN],
-                                 record[Event.DECLINATION]))
+    def add_input(self, event: np.ndarray) -> None:
+        """Add one magnetic field, or one fix of a further receiver, as an event."""
+        if event[Event.KIND] == Kind.PLACE:
+            self._places[event[Event.INPUT]].append((event[Event.TIME], event[Event.LATITUDE],
+                                                      event[Event.LONGITUDE], event[Event.R_NN]))
+        elif event[Event.INPUT] == self.config.of_input(self._magnetometer.number)[0]:
+            self._fields.append((event[Event.TIME], *event[Event.VALUE:Event.VALUE + 3], event[Event.R_NN],
+                                 event[Event.DECLINATION]))
 
     @property
     def _samples(self) -> np.ndarray:
@@ -136,13 +136,13 @@ class Alignment:
         imu = self._samples
         return imu[imu[:, 0] > time][:, [0, *range(7, 13)]]
 
-    def add_record(self, record: np.ndarray, say) -> Start | None:
-        """Add one valid fix, as a record; messages to the user go to say(level, text). Returns the start once there is
+    def add_event(self, event: np.ndarray, say) -> Start | None:
+        """Add one valid fix, as an event; messages to the user go to say(level, text). Returns the start once there is
         one."""
         before = self.waiting_for
-        covariance = np.array([[record[Event.R_NN], record[Event.R_NE]], [record[Event.R_NE], record[Event.R_EE]]])
-        start = self.add_fix(record[Event.TIME], record[Event.LATITUDE], record[Event.LONGITUDE],
-                             record[Event.HEIGHT], covariance)
+        covariance = np.array([[event[Event.R_NN], event[Event.R_NE]], [event[Event.R_NE], event[Event.R_EE]]])
+        start = self.add_fix(event[Event.TIME], event[Event.LATITUDE], event[Event.LONGITUDE],
+                             event[Event.HEIGHT], covariance)
         if start is not None:
             for level, text in start.notes:
                 say(level, text)

@@ -40,7 +40,7 @@ LONGEST_STEADY, AGEING = 2.0, 0.1
 
 @njit(_nrt=False)
 def is_stuck(mem, r, at):
-    """Whether the record at `at`, of any input, repeats the one before although the state at r has changed."""
+    """Whether the event at `at`, of any input, repeats the one before although the state at r has changed."""
     if mem[Head.GATE] == 0.0:
         return False
     kind = int(mem[at + Event.KIND])
@@ -100,7 +100,7 @@ def unknown(mem, own, time):
 
 @njit(_nrt=False)
 def note(mem, r, at):
-    """Remember what the state at r says of what the record at `at` measures, after its correction."""
+    """Remember what the state at r says of what the event at `at` measures, after its correction."""
     kind = int(mem[at + Event.KIND])
     if is_of_velocity(kind) or is_of_heading(kind):
         mem[seen_of(mem, r, at) + Seen.LEFT] = _told(mem, r, kind)
