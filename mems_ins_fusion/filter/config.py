@@ -364,7 +364,7 @@ class FilterConfig:
         }
         for column, value in settings.items():
             head[column] = value
-        head[Head.CONDITIONING:Head.CONDITIONING + 36] = self.conditioning.ravel()
+        head[Head.CONDITIONING:Head.CONDITIONING + 36] = self.conditioning.T.ravel()
         head[Head.OFFSET:Head.OFFSET + 6] = self.offset
         head[Head.ROWS:Head.ROWS + Error.SIZE] = layout.rows
         head[Head.CHANNEL:Head.CHANNEL + 6] = layout.axes

@@ -39,13 +39,12 @@ from .course import (
 from .magnetic import find_magnetic_heading
 from .plausibility import is_backwards, problem_of_driving_off, problem_of_samples
 from .start import DATUM_FIXES, SavedState, Standstill, Start
-from .two_receivers import find_heading
+from .two_receivers import SLOW_SPEED, find_heading
 
 LONGEST_KEPT = 300.0  # s of samples and fixes kept while waiting
 RECENT = 10.0  # s of samples and fixes from which a present standstill, or the speed of a slow vehicle, is determined
 SIGNIFICANT = 3.0  # standard deviations of two fixes by which their displacement has to contradict a heading
 SPEED_CHANGE_SIGMA = 0.3  # m/s, standard deviation of a slow vehicle's present speed about its mean over RECENT. Chosen
-SLOW_SPEED = 2.0  # m/s: the course of a faster vehicle soon shows its heading. Chosen, not measured
 STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity at rest
 #: number of fixes that have to be as near to the line through earlier ones as the noise known so far allows, before a
 #: course is looked for: noise above the claim looks like motion
