@@ -37,12 +37,16 @@ ROBUST = 3.0
 def project(mem, n, h, column):
     """Write P H^T to `column` (n,) and return H P H^T. h: position of the row H; P is at the begin of the scratch."""
     p, h, column = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(h), nonnegative(column)
+    blocks = nonnegative(n) // LANES
     for i in range(n):
         mem[column + i] = 0.0
     for j in range(n):
         factor, row = mem[h + j], nonnegative(p + n * j)
         if factor != 0.0:
-            for i in range(n):
+            for block in range(blocks):
+                i = LANES * block
+                put(mem, column + i, four(mem, column + i) + factor * four(mem, row + i))
+            for i in range(LANES * blocks, n):
                 mem[column + i] += factor * mem[row + i]
     return product(mem, n, h, column)
 
