@@ -27,7 +27,7 @@ from mems_ins_fusion.effects.base import Effect, EffectParameter  # noqa: E402
 from mems_ins_fusion.effects.registry import EFFECTS  # noqa: E402
 from mems_ins_fusion.parameters import table  # noqa: E402
 from mems_ins_fusion.simulation.drive import simulate_drive, stream  # noqa: E402
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording  # noqa: E402
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording  # noqa: E402
 
 DURATION = 600.0
 RECEIVER = GnssNoise(sigma=0.5)
@@ -144,7 +144,7 @@ def simulated(names, seed: int, truth: dict, hills: bool = False):
     effects = {**EFFECTS, **{e.name: e for e in OUTSIDE}}
     drive = simulate_drive(DURATION, seed, hills=hills)
     return simulate_recording(drive, sensors, RECEIVER, [(effects[n], theta) for n, theta in truth.items()],
-                              seed=seed, aiding=Aiding(twist_lateral_sigma=0.05, **{
+                              seed=seed, aiding=SimulatedAiding(twist_lateral_sigma=0.05, **{
                                   f'{OF_INPUT[name]}_rate': RATES[OF_INPUT[name]] for name in names
                                   if name in OF_INPUT})).recording
 

@@ -43,9 +43,9 @@ from mems_ins_fusion.samples import Recording  # noqa: E402
 from mems_ins_fusion.simulation.drive import stream  # noqa: E402
 from mems_ins_fusion.simulation.scene import REALISTIC, SIDESLIP  # noqa: E402
 from mems_ins_fusion.simulation.simulation import (  # noqa: E402
-    Aiding,
     GnssNoise,
     SensorErrors,
+    SimulatedAiding,
     simulate_recording,
 )
 
@@ -144,7 +144,7 @@ class Car:
         drive = scene.drive(DURATION, seed)
         distortions = scene.distortions(seed)
         both = [*self.there.items(), *self.true.items()]
-        aiding = Aiding(speed_rate=10.0, speed_scale=0.0) if self.given['speed_topic'] else None
+        aiding = SimulatedAiding(speed_rate=10.0, speed_scale=0.0) if self.given['speed_topic'] else None
         sensors = SensorErrors.from_parameters(table.check(GRADES[self.grade]), 'gauss_markov')
         return simulate_recording(drive, sensors, self.receiver, [(EFFECTS[name], theta) for name, theta in both],
                                   seed=seed, name=f'drive {self.number}', vibration=distortions['vibration'],

@@ -21,7 +21,7 @@ from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.metrics import rms
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.scene import REALISTIC
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SimulatedAiding, simulate_recording
 
 MINUTES = 8.0
 RECEIVERS = {'1.5 m, 1 Hz': GnssNoise(1.5, 1.0), '1.5 m, 10 Hz': GnssNoise(1.5, 10.0),
@@ -33,7 +33,7 @@ def drive(seed: int, noise: GnssNoise, late: float):
     scene = dict(REALISTIC.distortions(seed))
     effects = [*scene.pop('effects', []), (EFFECTS['gnss_time_offset'], {'time_offset': late})]
     return simulate_recording(drive_of(seed, MINUTES), sensors(), noise, effects, seed=seed,
-                              **{**scene, 'aiding': Aiding(speed_rate=100.0)}).recording
+                              **{**scene, 'aiding': SimulatedAiding(speed_rate=100.0)}).recording
 
 
 def results(recording):

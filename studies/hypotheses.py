@@ -226,8 +226,8 @@ class Bank(replay.Replay):
         self.fixes: list[tuple[int, np.ndarray, np.ndarray | None]] = []  # samples before, record, off from straight on
         self.straight_on = self.slid = 0.0
         self.out = np.empty((len(samples), len(self.columns)))
-        events.record[:, Event.ID] = np.arange(len(events.kind))
-        for kind, arrival, record in zip(events.kind, events.arrival, events.record):
+        events.event[:, Event.ID] = np.arange(len(events.kind))
+        for kind, arrival, record in zip(events.kind, events.arrival, events.event):
             after = int(np.searchsorted(samples[:, 0], record[Event.TIME])) + 1
             self.advance(min(max(int(arrival), after), len(samples)))
             if kind == Kind.POSITION:

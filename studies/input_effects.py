@@ -21,9 +21,9 @@ from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run_with_outages
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation.scene import REALISTIC
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SimulatedAiding, simulate_recording
 
 #: input, effect and its parameter, errors of the input, and usual sizes
 CASES = {'lag': ('speed', 'speed_lag', 'tau', {'speed_rate': 50.0}, (0.0, 0.2, 0.5, 1.0)),
@@ -36,7 +36,7 @@ def judged(recording, name: str, values: dict) -> str:
     """A line of what the filter with `values` and the input `name` ('': none) makes of it."""
     given = {'reference_lever_arm': [0.0] * 3, **({f'{name}_topic': f'/{name}', **values} if name else {})}
     config = FilterConfig.from_parameters(table.check(given))
-    samples = Measured({name: recording.streams()[name]} if name else {})
+    samples = Aiding({name: recording.streams()[name]} if name else {})
     start, end, largest = recording.imu.stamp[0], recording.imu.stamp[-1], []
     for duration in DURATIONS:
         begins = np.arange(start + SETTLED * 1e9, end - (duration + 1.0) * 1e9, SPACING * 1e9).astype(np.int64)
@@ -64,7 +64,7 @@ def main() -> None:
     for seed in options.seeds:
         drive = drive_of(seed, options.minutes)
         for number, size in enumerate(options.sizes or usual):
-            distortions = {**REALISTIC.distortions(seed), 'aiding': Aiding(**errors)}
+            distortions = {**REALISTIC.distortions(seed), 'aiding': SimulatedAiding(**errors)}
             distortions['effects'] = [*distortions['effects'], (EFFECTS[effect], {
                 parameter: np.radians(size) if options.case == 'yaw' else size})]
             recording = simulate_recording(drive, sensors(), GnssNoise(options.fixes), seed=seed,

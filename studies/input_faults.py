@@ -31,7 +31,7 @@ from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation.scene import REALISTIC
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SimulatedAiding, simulate_recording
 
 #: Hz, of each input but further receivers, which have the rate of the first
 RATES = {'speed_rate': 100.0, 'velocity_rate': 10.0, 'twist_rate': 50.0, 'heading_rate': 10.0, 'pressure_rate': 50.0,
@@ -80,7 +80,7 @@ _VALUES = {'rear': ('latitude', 'longitude', 'height'), 'heading': ('yaw',),
 @cache
 def clean(seed: int, rate: float) -> Recording:
     """A realistic drive with all inputs. rate: of the receivers, Hz."""
-    aided = Aiding(**RATES, fix_rate=rate, fix_sigma=1.5)
+    aided = SimulatedAiding(**RATES, fix_rate=rate, fix_sigma=1.5)
     named = [one for values in (REAR, LIDAR) for one in aiding(table.check(values)) if not one.is_plain]
     recording = simulate_recording(drive_of(seed, MINUTES), sensors(), GnssNoise(1.5, rate=rate), seed=seed,
                                    **{**REALISTIC.distortions(seed), 'aiding': aided, 'named': named}).recording

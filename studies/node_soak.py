@@ -46,9 +46,9 @@ def drive(options: argparse.Namespace) -> None:
     from mems_ins_fusion.filter.measurements.registry import aiding
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.simulation.simulation import (
-        Aiding,
         GnssNoise,
         SensorErrors,
+        SimulatedAiding,
         simulate_drive,
         simulate_recording,
     )
@@ -57,9 +57,9 @@ def drive(options: argparse.Namespace) -> None:
     motion = simulate_drive(seconds, seed=options.seed, rate=options.imu, standstill=10.0)
     recording = simulate_recording(
         motion, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(sigma=1.0, rate=5.0),
-        seed=options.seed, aiding=Aiding(speed_rate=options.speed, velocity_rate=options.velocity,
-                                         heading_rate=options.heading, pressure_rate=options.pressure,
-                                         fix_rate=options.rear, fix_sigma=1.0),
+        seed=options.seed, aiding=SimulatedAiding(speed_rate=options.speed, velocity_rate=options.velocity,
+                                                  heading_rate=options.heading, pressure_rate=options.pressure,
+                                                  fix_rate=options.rear, fix_sigma=1.0),
         named=[one for one in aiding(table.check(REAR)) if not one.is_plain] if options.rear else []).recording
     streams = recording.streams()
     parts = {'imu': recording.imu, 'fix': recording.gnss,

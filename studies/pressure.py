@@ -12,9 +12,9 @@ import numpy as np
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run_with_outages
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 #: s: of a drive, of an outage, and where these begin
 DURATION, OUTAGE, BEGINS = 300.0, 60.0, (60, 120, 180, 230)
@@ -27,11 +27,11 @@ def main() -> None:
     for seed in range(DRIVES):
         drive = simulate_drive(DURATION, seed, 50.0, standstill=10.0, hills=True)
         recording = simulate_recording(drive, sensors, GnssNoise(1.5, 1.0, vertical_sigma=4.0), seed=seed,
-                                       aiding=Aiding(pressure_rate=10.0)).recording
+                                       aiding=SimulatedAiding(pressure_rate=10.0)).recording
         begin = recording.imu.stamp[0] + np.array(BEGINS) * 10**9
         for topic in error:
             config = FilterConfig.from_parameters(table.check({'pressure_topic': topic}))
-            aiding = Measured(pressure=recording.others['pressure']) if topic else Measured()
+            aiding = Aiding(pressure=recording.others['pressure']) if topic else Aiding()
             whole, outages = run_with_outages(config, recording.imu, recording.gnss, begin, OUTAGE, aiding)
             away, lost = (run.height - np.interp(run.stamp, drive.stamp, drive.height) for run in (whole, outages.run))
             error[topic].append(np.sqrt(np.mean(away[whole.stamp > begin[0]] ** 2)))

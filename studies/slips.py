@@ -23,9 +23,9 @@ from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Event, Kind, Verdict
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation.scene import REALISTIC
-from mems_ins_fusion.simulation.simulation import Aiding, simulate_recording
+from mems_ins_fusion.simulation.simulation import SimulatedAiding, simulate_recording
 
 RATES = 10.0, 100.0
 FIRST, EACH, LASTS, AFTER, FASTER_THAN = 90.0, 20.0, 3.0, 1.0, 4.0
@@ -49,7 +49,7 @@ def of_drive(seed: int, minutes: float) -> list:
         warnings.simplefilter('ignore')
         for rate in RATES:
             recording = simulate_recording(drive_of(seed, minutes), sensors(), FIXES['1.5 m'], seed=seed, **{
-                **REALISTIC.distortions(seed), 'aiding': Aiding(speed_rate=rate)}).recording
+                **REALISTIC.distortions(seed), 'aiding': SimulatedAiding(speed_rate=rate)}).recording
             reference = recording.reference.select(slice(None, None, 10))
             recording = replace(recording, reference=reference)
             results += [((rate, name), _judge(recording, slip)) for name, slip in SLIPS.items()]
@@ -73,12 +73,12 @@ def _judge(recording, slip) -> list[float]:
             inside = (time >= begin) & (time < begin + LASTS)
             said[inside] = slip(said[inside], time[inside] - begin)
         samples = {'speed': replace(speed, speed=said)}
-    result = run(FilterConfig.from_parameters(values), recording.imu, recording.gnss, Measured(samples))
+    result = run(FilterConfig.from_parameters(values), recording.imu, recording.gnss, Aiding(samples))
     truth = truth_of(recording, values)
     errors = position_errors(result, truth, np.zeros(len(truth), bool))
     off = errors.horizontal[(errors.stamp - start) * 1e-9 > FIRST - 30.0]
     of_wheels = result.measured.kind == Kind.SPEED
-    refused = np.isin(result.measured.record[of_wheels][:, Event.VERDICT], REFUSED)
+    refused = np.isin(result.measured.event[of_wheels][:, Event.VERDICT], REFUSED)
     time = (result.measured.stamp[of_wheels] - start) * 1e-9
     found, share, slipping = 0, [], np.zeros(len(time), bool)
     for begin in begins:

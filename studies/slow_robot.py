@@ -16,10 +16,10 @@ import numpy as np
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.manoeuvres import SLOW
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 CASES = {'without': ({}, 0.0), 'magnetometer': ({'magnetometer_topic': '/mag'}, 0.0),
          'and iron beside the way': ({'magnetometer_topic': '/mag'}, 5e-6)}
@@ -30,10 +30,10 @@ def driven(seed: int, minutes: float, values: dict, beside: float):
     """Seconds until the start, and error and sigma of the heading from then on, deg; None where there is no start."""
     drive = simulate_drive(60.0 * minutes, seed, 50.0, standstill=10.0, manoeuvres=SLOW, grade=0.03, bank=0.03)
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
-    recording = simulate_recording(drive, sensors, GnssNoise(1.5, 1.0), seed=seed, aiding=Aiding(
+    recording = simulate_recording(drive, sensors, GnssNoise(1.5, 1.0), seed=seed, aiding=SimulatedAiding(
         magnetometer_rate=20.0, magnetometer_disturbance=beside)).recording
     config = FilterConfig.from_parameters(table.check({'vehicle.zero_velocity': False, **values}))
-    samples = Measured(magnetometer=recording.others['magnetometer']) if values else Measured()
+    samples = Aiding(magnetometer=recording.others['magnetometer']) if values else Aiding()
     result = run(config, recording.imu, recording.gnss, samples)
     if not len(result.stamp):
         return None

@@ -27,7 +27,7 @@ from mems_ins_fusion.recordings.motion import positions
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.samples import Speeds
 from mems_ins_fusion.simulation.scene import SCENES
-from mems_ins_fusion.simulation.simulation import Aiding, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import SensorErrors, SimulatedAiding, simulate_recording
 
 DATA = Path(__file__).resolve().parents[2] / 'shared' / 'data'
 #: measured drives: topic of the reference; None: the fixes
@@ -47,7 +47,7 @@ def quantized(speeds: Speeds, step: float) -> Speeds:
 
 def main(drives: int) -> None:
     scene = replace(SCENES['realistic'], axle_to_imu=(2.0, 0.3, 0.5), mounting_error=0.0,
-                    aiding=Aiding(speed_rate=10.0))
+                    aiding=SimulatedAiding(speed_rate=10.0))
     values = {**table.defaults(), **scene.imu}
     found = []
     for seed in range(drives):

@@ -47,7 +47,7 @@ from wheel_vibration import (
 
 from mems_ins_fusion.evaluation.intervals import paired
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.measurements.records import empty
+from mems_ins_fusion.filter.measurements.events import empty
 from mems_ins_fusion.filter.memory import Event, Head, Kind, Nav, state_at
 from mems_ins_fusion.filter.runs.replay import Events, Replay, run
 from mems_ins_fusion.filter.runs.results import Run
@@ -173,7 +173,7 @@ class _Telling(Replay):
         with_speeds = copy.copy(work)
         with_speeds.events = Events(
             np.concatenate([events.kind, none + Kind.SPEED]), np.concatenate([events.index, none]), arrival,
-            np.vstack([events.record, record]), np.concatenate([events.answer, none])).select(order)
+            np.vstack([events.event, record]), np.concatenate([events.answer, none])).select(order)
         return super()._branch(memory, with_speeds, begin, np.concatenate([withheld, none.astype(bool)])[order])
 
 

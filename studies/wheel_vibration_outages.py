@@ -71,7 +71,7 @@ class _Listening(Replay):
     def _filter(self, memory, samples, index, events, epoch):
         kept, at = np.flatnonzero(self.keep[index]), int(memory[Wheels.AT])
         states = np.empty((len(kept), len(self.columns)))
-        events.record[:, Event.ID] = np.arange(len(events.kind))
+        events.event[:, Event.ID] = np.arange(len(events.kind))
         work, found = Playback(samples, events, self.columns, kept, states), []
         for stop in np.searchsorted(samples[:, 0], np.arange(samples[0, 0], samples[-1, 0], STEP)):
             work.advance(memory, int(stop))

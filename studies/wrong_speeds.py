@@ -22,9 +22,9 @@ from mems_ins_fusion.filter.memory import Event, Kind, Verdict
 from mems_ins_fusion.filter.runs.replay import run_with_outages
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation.scene import REALISTIC
-from mems_ins_fusion.simulation.simulation import Aiding, simulate_recording
+from mems_ins_fusion.simulation.simulation import SimulatedAiding, simulate_recording
 
 DURATIONS, SPACING, SETTLED = (30.0, 60.0), 100.0, 60.0
 USED = Verdict.USED, Verdict.WEIGHTED
@@ -81,7 +81,7 @@ FAST = ('wheel speed', 'wheel speed in km/h', 'wheel speed in mph', 'in mph, tak
 
 
 def of_drive(seed: int, minutes: float) -> list:
-    made = simulate_recording(drive_of(seed, minutes), sensors(), FIXES['1.5 m'], seed=seed, aiding=Aiding(
+    made = simulate_recording(drive_of(seed, minutes), sensors(), FIXES['1.5 m'], seed=seed, aiding=SimulatedAiding(
         speed_rate=100.0, velocity_rate=5.0, twist_rate=100.0, heading_rate=5.0), **{
             key: value for key, value in REALISTIC.distortions(seed).items() if key != 'aiding'})
     recording = made.recording
@@ -103,13 +103,13 @@ def _judge(recording, name, change, step) -> list[float]:
     row = []
     for duration in DURATIONS:
         begin = np.arange(start + SETTLED * 1e9, end - (duration + 1.0) * 1e9, SPACING * 1e9).astype(np.int64)
-        whole, outages = run_with_outages(config, recording.imu, recording.gnss, begin, duration, Measured(samples))
+        whole, outages = run_with_outages(config, recording.imu, recording.gnss, begin, duration, Aiding(samples))
         off = _errors(recording.reference, outages.run)
         stamp = outages.run.stamp
         row.append(np.mean([off[(stamp >= b) & (stamp <= b + duration * 1e9)].max() for b in begin]))
     settled = whole.stamp > start + SETTLED * 1e9
     row.insert(0, float(np.sqrt((_errors(recording.reference, whole)[settled] ** 2).mean())))
-    of_input = whole.measured.record[whole.measured.kind != Kind.POSITION]
+    of_input = whole.measured.event[whole.measured.kind != Kind.POSITION]
     used = np.isin(of_input[:, Event.VERDICT], USED)
     return [*row, float(used.mean()) if len(used) else np.nan]
 

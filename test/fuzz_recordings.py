@@ -32,13 +32,14 @@ def drive(kind: str) -> Recording:
     """The recordings that are spoiled: two minutes, but for one at rest, with a standstill in the beginning."""
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.simulation.scene import SCENES
-    from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+    from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
     scene, rate = SCENES['flat' if kind == 'rest' else 'realistic'], {'phone': 10.0}.get(kind, 50.0)
     seconds = 60.0 if kind == 'rest' else 130.0
     values = table.check(scene.imu)
     moved = scene.drive(seconds, 3, rate, standstill=seconds if kind == 'rest' else 12.0)
-    distortions = {**scene.distortions(3), 'aiding': Aiding(speed_rate=5.0, velocity_rate=1.0, heading_rate=1.0)}
+    distortions = {**scene.distortions(3),
+                   'aiding': SimulatedAiding(speed_rate=5.0, velocity_rate=1.0, heading_rate=1.0)}
     found = simulate_recording(moved, SensorErrors.from_parameters(values, 'gauss_markov'), GnssNoise(1.5), seed=3,
                                **distortions).recording
     return replace(found, reference=found.reference.select(slice(None, None, 10)))

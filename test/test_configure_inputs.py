@@ -22,10 +22,10 @@ from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.aiding import forwards
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation import manoeuvres
 from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 MOUNTING = (0.02, 0.05, 0.4)
 FRONT, REAR = [0.8, 0.0, 1.0], [-0.8, 0.3, 1.0]
@@ -44,7 +44,7 @@ def recorded(given, late=None, seed=3, sigma=0.5, **errors):
                *((time_offset_of(name), {'time_offset': seconds}) for name, seconds in (late or {}).items())]
     made = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
                               GnssNoise(sigma, 2.0), effects, MOUNTING, seed,
-                              aiding=Aiding(fix_rate=2.0, fix_sigma=sigma, **errors),
+                              aiding=SimulatedAiding(fix_rate=2.0, fix_sigma=sigma, **errors),
                               named=[one for one in aiding(values) if not one.is_plain])
     return made.recording, values
 
@@ -107,7 +107,7 @@ def test_what_configure_writes_is_better_than_the_first_receiver_alone(robot):
         # the arm of the first antenna is not shown, and moves all of it alike
         return float(np.hypot(np.std(north), np.std(east)))
 
-    assert error(checked, Measured(recording.streams())) < error(alone, Measured())
+    assert error(checked, Aiding(recording.streams())) < error(alone, Aiding())
 
 
 @pytest.mark.parametrize('per', [3.6, -1.0])
@@ -192,7 +192,7 @@ def test_antennas_at_rest_show_their_distance_before_courses_show_it():
         drive = simulate_drive(200.0, seed, 50.0, standstill=25.0, manoeuvres=manoeuvres.SLOW)
         made = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
                                   GnssNoise(0.02, 5.0), [(EFFECTS['gnss_lever_arm'], dict(zip('xyz', FRONT)))],
-                                  seed=seed, aiding=Aiding(fix_rate=5.0, fix_sigma=0.02),
+                                  seed=seed, aiding=SimulatedAiding(fix_rate=5.0, fix_sigma=0.02),
                                   named=[one for one in aiding(values) if not one.is_plain]).recording
         found = estimate_baseline(made.gnss, made.others['rear'])
         errors.append(np.hypot(*found.arm[:2]) - distance)
@@ -228,7 +228,8 @@ def test_a_low_pass_is_searched_only_where_the_turn_rate_does_not_agree_enough_w
     # given an odometry through a low pass of 1.5 s
     made = simulate_recording(simulate_drive(300.0, 3, 50.0, standstill=20.0),
                               SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.5),
-                              [(EFFECTS['twist_lag'], {'tau': 1.5})], seed=3, aiding=Aiding(twist_rate=10.0)).recording
+                              [(EFFECTS['twist_lag'], {'tau': 1.5})], seed=3,
+                              aiding=SimulatedAiding(twist_rate=10.0)).recording
     alike, little, much = (estimate_turn_offset(made.imu, made.streams()['twist'], np.eye(3)[2], enough)
                            for enough in (0.9, 0.99, 1.0))
     # then it is not searched where the correlation without one is enough, and else found
@@ -242,7 +243,7 @@ def test_a_heading_tells_its_low_pass_beside_its_clock(tau, late, rate):
     effects = [(EFFECTS['heading_lag'], {'tau': tau})] if tau else []
     made = simulate_recording(simulate_drive(600.0, 62, 50.0, standstill=25.0),
                               SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.5), effects,
-                              seed=62, aiding=Aiding(heading_rate=rate)).recording
+                              seed=62, aiding=SimulatedAiding(heading_rate=rate)).recording
     heading = replace(made.heading, stamp=made.heading.stamp + round(late * 1e9))
     clock = clock_of('heading', heading, made.imu, None, Mounting(np.eye(3), np.zeros(3)))
     if rate < 4.0:
@@ -261,7 +262,7 @@ def test_of_an_odometry_the_turn_rate_tells_a_low_pass_that_the_speed_leaves_ope
     made = simulate_recording(simulate_drive(400.0, 58, 50.0, standstill=25.0),
                               SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.5),
                               [(EFFECTS['twist_lag'], {'tau': 0.42})], seed=58,
-                              aiding=Aiding(twist_rate=50.0)).recording
+                              aiding=SimulatedAiding(twist_rate=50.0)).recording
     mounting = Mounting(np.eye(3), np.full(3, 0.01))
     by_speed = clock_of('speed', forwards(made.streams()['twist']), made.imu, None, mounting).low_pass
     found = clock_of('twist', made.streams()['twist'], made.imu, None, mounting)
@@ -292,7 +293,7 @@ def test_the_clock_of_a_slow_robots_velocity_is_as_sure_as_it_says(rate, monkeyp
     for seed in range(1, 7):
         drive = simulate_drive(600.0, seed, 50.0, standstill=25.0, manoeuvres=manoeuvres.SLOW)
         made = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
-                                  GnssNoise(0.02, rate), seed=seed, aiding=Aiding(velocity_rate=1.0)).recording
+                                  GnssNoise(0.02, rate), seed=seed, aiding=SimulatedAiding(velocity_rate=1.0)).recording
         late = replace(made.velocity, stamp=made.velocity.stamp + 200_000_000)
         found = estimate_velocity_offset(late, made.gnss)
         errors.append(found.lag - 0.2)

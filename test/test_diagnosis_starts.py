@@ -28,9 +28,9 @@ from mems_ins_fusion.diagnosis.trial_runs import TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import (
-    Aiding,
     GnssNoise,
     SensorErrors,
+    SimulatedAiding,
     simulate_drive,
     simulate_recording,
 )
@@ -80,7 +80,7 @@ def test_a_low_pass_of_an_input_is_found_with_its_offset(tau, monkeypatch):
             Candidate(effect, [], np.zeros(0), np.zeros(0), 0.0, 1.0, None, ['delay', 'tau']) for effect in effects])
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     made = simulate_recording(simulate_drive(300.0, 8, 50.0), sensors, GnssNoise(0.3), [(EFFECTS['speed_lag'], {
-        'tau': tau})], seed=8, aiding=Aiding(speed_rate=10.0)).recording
+        'tau': tau})], seed=8, aiding=SimulatedAiding(speed_rate=10.0)).recording
     # when
     diagnosis = diagnose(made, table.check({'speed_topic': '/speed'}), effects=[EFFECTS['speed_lag']],
                          durations=(10.0,))

@@ -15,7 +15,13 @@ from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.simulation.simulation import (
+    GnssNoise,
+    SensorErrors,
+    SimulatedAiding,
+    simulate_drive,
+    simulate_recording,
+)
 
 SECOND, OFFSET = 10**9, 0.3
 DEFAULTS = table.check({})
@@ -26,7 +32,7 @@ def recording():
     """Eight minutes at 50 Hz with fixes of centimetres; from the middle on these and wheel speed are stamped late."""
     sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
     made = simulate_recording(simulate_drive(480.0, seed=5, rate=50.0), sensors, GnssNoise(0.02, rate=2.0), seed=5,
-                              aiding=Aiding(speed_rate=10.0)).recording
+                              aiding=SimulatedAiding(speed_rate=10.0)).recording
     half = made.imu.stamp[0] + 240 * SECOND
 
     def late(samples):
@@ -86,7 +92,7 @@ def test_what_is_wrong_with_an_input_is_told_where_the_filter_does_not_estimate_
     # given four minutes with an effect of an input
     made = simulate_recording(simulate_drive(240.0, seed=7, rate=50.0), SensorErrors.from_parameters(
         DEFAULTS, 'gauss_markov'), GnssNoise(0.1, rate=2.0), [(EFFECTS[effect], sizes)], seed=7,
-        aiding=Aiding(**rates)).recording
+        aiding=SimulatedAiding(**rates)).recording
     name = effect.split('_')[0]
     told = {f'{name}_topic': f'/{name}', **estimated}
     # when

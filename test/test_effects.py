@@ -20,7 +20,13 @@ from mems_ins_fusion.navigation.frames import mounting
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import ImuSamples, Speeds
 from mems_ins_fusion.simulation.drive import START_STAMP
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.simulation.simulation import (
+    GnssNoise,
+    SensorErrors,
+    SimulatedAiding,
+    simulate_drive,
+    simulate_recording,
+)
 
 RECEIVER = GnssNoise(sigma=0.1, rate=0.5)
 #: sizes that nobody would overlook
@@ -315,7 +321,7 @@ def test_a_declared_speed_scale_does_no_harm(drive):
     effect, theta = EFFECTS['speed_scale'], {'scale': 0.05}
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     receiver = replace(RECEIVER, outages=[(60.0, 200.0)])
-    wheels = Aiding(speed_rate=10.0, speed_sigma=0.0, speed_scale=0.0)
+    wheels = SimulatedAiding(speed_rate=10.0, speed_sigma=0.0, speed_scale=0.0)
     values = table.check({**PAPER, 'speed_topic': '/speed', 'speed.scale_sigma': 0.0, 'speed.sigma': 0.05})
     error = {}
     for what, effects, used in (('clean', [], values), ('ignorant', [(effect, theta)], values),

@@ -16,10 +16,10 @@ from mems_ins_fusion.filter.trust import displacement, inputs
 from mems_ins_fusion.filter.trust.scale import Seen
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.manoeuvres import SLOW
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 SECOND = 10**9
 KINDS = {'speed': Kind.SPEED, 'velocity': Kind.VELOCITY, 'twist': Kind.TWIST}
@@ -28,8 +28,8 @@ KINDS = {'speed': Kind.SPEED, 'velocity': Kind.VELOCITY, 'twist': Kind.TWIST}
 def drive(seed, rate=1.0, outliers=0.0, speeds=20.0):
     made = simulate_recording(simulate_drive(200.0, seed, 50.0, standstill=10.0, hills=True),
                               SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(1.5, rate),
-                              seed=seed, aiding=Aiding(speed_rate=speeds, velocity_rate=5.0, twist_rate=20.0,
-                                                       heading_rate=5.0, pressure_rate=10.0))
+                              seed=seed, aiding=SimulatedAiding(speed_rate=speeds, velocity_rate=5.0, twist_rate=20.0,
+                                                                heading_rate=5.0, pressure_rate=10.0))
     recording, rng = made.recording, np.random.default_rng(seed)
     off = (rng.random(len(recording.gnss)) < outliers) * 50e-7
     return replace(recording, gnss=replace(recording.gnss, latitude=recording.gnss.latitude + off))
@@ -42,7 +42,7 @@ def config(*names):
 def largest_errors(recording, measured, begins=(90.0, 150.0), duration=40.0):
     """Of the position, m, in outages that begin at so many s."""
     begin = recording.imu.stamp[0] + (np.array(begins) * SECOND).astype(np.int64)
-    _, outages = run_with_outages(config(*measured), recording.imu, recording.gnss, begin, duration, Measured(measured))
+    _, outages = run_with_outages(config(*measured), recording.imu, recording.gnss, begin, duration, Aiding(measured))
     result, true = outages.run, recording.reference
     north, east = radii(result.latitude)
     off = np.hypot((result.latitude - np.interp(result.stamp, true.stamp, true.latitude)) * north,
@@ -75,7 +75,7 @@ def test_a_speed_that_is_not_the_vehicles_is_as_none(wrong):
     # then outages are as they are without it, which with km/h were a kilometre
     assert np.mean(with_it) < 1.3 * np.mean(without) + 1.0, (with_it, without)
     # and most of it has been refused, in words that say so
-    result = run(config(name), recording.imu, recording.gnss, Measured({name: bad}))
+    result = run(config(name), recording.imu, recording.gnss, Aiding({name: bad}))
     counts = result.measured.verdicts(KINDS[name])
     driven = len(bad) * 0.8
     # one that always says zero repeats itself before it has made up a way
@@ -97,7 +97,7 @@ def test_a_heading_that_points_elsewhere_is_as_none():
         without.append(largest_errors(recording, {}))
     # then outages are as without it, and it is said why
     assert np.mean(with_it) < 1.3 * np.mean(without) + 1.0, (with_it, without)
-    result = run(config('heading'), recording.imu, recording.gnss, Measured(heading=bad))
+    result = run(config('heading'), recording.imu, recording.gnss, Aiding(heading=bad))
     counts = result.measured.verdicts(Kind.HEADING)
     assert counts[Verdict.CONTRADICTED] > 0.7 * np.count_nonzero(later), counts
 
@@ -113,7 +113,7 @@ def test_one_that_is_late_is_better_than_none_and_not_believed_too_far(name, sec
             late = replace(samples, stamp=samples.stamp + round(sign * seconds * SECOND))
             truth = truth_of(recording, config(name).parameters)
             for case, measured in (('late', {name: late}), ('none', {})):
-                result = run(config(*measured), recording.imu, recording.gnss, Measured(measured))
+                result = run(config(*measured), recording.imu, recording.gnss, Aiding(measured))
                 errors[case].append(position_errors(result, truth, np.zeros(len(truth), dtype=bool)))
         late, none = ([np.concatenate([getattr(of, part) for of in errors[case]]) for part in ('horizontal', 'nees')]
                       for case in ('late', 'none'))
@@ -155,9 +155,9 @@ def test_one_that_never_repeats_itself_has_stopped_where_it_does(name):
                                                getattr(samples, part)[first], getattr(samples, part))
                                 for part in PARTS[name]})
     # then a handful of messages is believed, and no other until the end
-    result = run(config(name), recording.imu, recording.gnss, Measured({name: stuck}))
+    result = run(config(name), recording.imu, recording.gnss, Aiding({name: stuck}))
     mine = result.measured.select(result.measured.kind != Kind.POSITION)
-    frozen = mine.record[:, Event.VERDICT] == Verdict.FROZEN
+    frozen = mine.event[:, Event.VERDICT] == Verdict.FROZEN
     assert frozen[mine.index >= first + 8].all() and not frozen[mine.index <= first].any()
 
 
@@ -165,7 +165,7 @@ def test_a_speed_that_rounds_may_repeat_itself():
     # given steps of 0.1 m/s where the noise is 0.05 m/s
     recording = drive(2)
     steps = replace(recording.speed, speed=np.round(recording.speed.speed, 1))
-    counts = run(config('speed'), recording.imu, recording.gnss, Measured(speed=steps)).measured.verdicts(Kind.SPEED)
+    counts = run(config('speed'), recording.imu, recording.gnss, Aiding(speed=steps)).measured.verdicts(Kind.SPEED)
     assert counts.get(Verdict.FROZEN, 0) == 0, counts
 
 
@@ -186,7 +186,7 @@ def test_a_right_one_is_never_contradicted(rate, outliers):
     for seed in (2, 3):
         recording = drive(seed, rate, outliers)
         for name, kind in KINDS.items():
-            result = run(config(name), recording.imu, recording.gnss, Measured({name: recording.streams()[name]}))
+            result = run(config(name), recording.imu, recording.gnss, Aiding({name: recording.streams()[name]}))
             counts = result.measured.verdicts(kind)
             assert counts.get(Verdict.CONTRADICTED, 0) < 0.02 * sum(counts.values()), (name, counts)
 
@@ -195,7 +195,7 @@ def test_one_that_is_too_slow_to_make_a_way_is_used():
     # given fixes and velocities each 5 s
     recording = drive(2, 0.2)
     velocity = recording.velocity.select(slice(None, None, 25))
-    counts = run(config('velocity'), recording.imu, recording.gnss, Measured(velocity=velocity)).measured.verdicts(
+    counts = run(config('velocity'), recording.imu, recording.gnss, Aiding(velocity=velocity)).measured.verdicts(
         Kind.VELOCITY)
     assert counts.get(Verdict.AWAITED, 0) <= 1 and counts[Verdict.USED] > 20, counts
 
@@ -203,9 +203,9 @@ def test_one_that_is_too_slow_to_make_a_way_is_used():
 def test_a_velocity_waits_for_the_first_ways_and_a_speed_that_fits_does_not():
     recording = drive(2)
     for name, waits in (('velocity', True), ('speed', False)):
-        samples = Measured({name: recording.streams()[name]})
+        samples = Aiding({name: recording.streams()[name]})
         measured = run(config(name), recording.imu, recording.gnss, samples).measured
-        record = measured.record[measured.kind == KINDS[name]]
+        record = measured.event[measured.kind == KINDS[name]]
         first = record[:40 if waits else 160, Event.VERDICT] == Verdict.AWAITED  # eight seconds
         assert first[:10].all() if waits else first.mean() < 0.1
         assert not (record[150 if waits else 600:, Event.VERDICT] == Verdict.AWAITED).any()
@@ -225,8 +225,8 @@ def test_wheels_that_slip_without_fixes_are_refused_at_once_and_used_again(name,
             right, twist=right.twist + np.column_stack([slip, 0 * slip, 0 * slip]))
         for case, samples in (('rolls', right), ('slips', slipping)):
             errors[case].append(largest_errors(recording, {name: samples}, (90.0,)))
-        result = run(config(name), recording.imu, recording.gnss, Measured({name: slipping}))
-        record = result.measured.record[result.measured.kind == KINDS[name]]
+        result = run(config(name), recording.imu, recording.gnss, Aiding({name: slipping}))
+        record = result.measured.event[result.measured.kind == KINDS[name]]
         since = (result.measured.stamp[result.measured.kind == KINDS[name]] - recording.imu.stamp[0]) / SECOND
         refused = since[record[:, Event.VERDICT] == Verdict.REFUSED]
         # then with fixes, too, it is those that slip, from the first on, and few others
@@ -245,7 +245,7 @@ def test_wheels_that_slip_again_and_again_cost_nothing_at_any_rate(rate, more):
     slipping = replace(speed, speed=speed.speed + more * slip)
     (off, result), (right, _) = (off_with_fixes(recording, {'speed': one}) for one in (slipping, speed))
     # then nearly all of that is refused, nearly nothing else, and the position is as with wheels that roll
-    record = result.measured.record[result.measured.kind == Kind.SPEED]
+    record = result.measured.event[result.measured.kind == Kind.SPEED]
     stamp = result.measured.stamp[result.measured.kind == Kind.SPEED]
     refused, slip = record[:, Event.VERDICT] == Verdict.REFUSED, slip[np.searchsorted(speed.stamp, stamp)]
     assert refused[slip].mean() > 0.9 and refused[~slip].mean() < 0.01
@@ -277,9 +277,9 @@ def test_it_is_used_again_when_its_ways_fit():
     recording = drive(3)
     speed = recording.speed
     at = (speed.stamp - speed.stamp[0]) / SECOND
-    result = run(config('speed'), recording.imu, recording.gnss, Measured(speed=replace(
+    result = run(config('speed'), recording.imu, recording.gnss, Aiding(speed=replace(
         speed, speed=speed.speed * np.where((at > 60.0) & (at < 120.0), 3.6, 1.0))))
-    contradicted = result.measured.record[:, Event.VERDICT] == Verdict.CONTRADICTED
+    contradicted = result.measured.event[:, Event.VERDICT] == Verdict.CONTRADICTED
     refused = (result.measured.stamp[contradicted] - speed.stamp[0]) / SECOND
     assert 60.0 < refused.min() < 75.0
     assert 118.0 < refused.max() < 150.0
@@ -327,7 +327,7 @@ def test_a_velocity_without_a_vertical_one_is_used(down):
         velocity = replace(recording.velocity, velocity=flat)
         errors.setdefault('flat', []).append(largest_errors(recording, {'velocity': velocity}))
         errors.setdefault('all', []).append(largest_errors(recording, {'velocity': recording.velocity}))
-        counts = run(config('velocity'), recording.imu, recording.gnss, Measured(velocity=velocity)).measured.verdicts(
+        counts = run(config('velocity'), recording.imu, recording.gnss, Aiding(velocity=velocity)).measured.verdicts(
             Kind.VELOCITY)
         assert counts[Verdict.USED] > 0.8 * len(velocity), counts
     # then what it says is worth about as much
@@ -342,7 +342,7 @@ def robot(seed=5, **more):
     made = simulate_recording(
         drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.02, 5.0),
         [(EFFECTS['gnss_lever_arm'], {'x': 0.5, 'y': 0.0, 'z': 0.4})], seed=seed,
-        aiding=Aiding(twist_rate=10.0, twist_sigma=0.01, velocity_rate=1.0, heading_rate=1.0))
+        aiding=SimulatedAiding(twist_rate=10.0, twist_sigma=0.01, velocity_rate=1.0, heading_rate=1.0))
     names = ('twist', 'velocity', 'heading')
     settings = table.check({**{f'{name}_topic': f'/{name}' for name in names}, **values})
     return FilterConfig.from_parameters(settings), made.recording
@@ -351,7 +351,7 @@ def robot(seed=5, **more):
 def test_what_a_robot_tells_that_turns_on_the_spot_is_its_way():
     # given inputs that are right
     settings, recording = robot()
-    result = run(settings, recording.imu, recording.gnss, Measured(
+    result = run(settings, recording.imu, recording.gnss, Aiding(
         {name: recording.streams()[name] for name in ('twist', 'velocity', 'heading')}))
     # then none is refused for its way: neither the antenna's arc about the axle is one, nor what a robot goes within
     # the second between two speeds
@@ -364,7 +364,7 @@ def test_what_a_robot_tells_that_turns_on_the_spot_is_its_way():
 def test_what_a_robot_tells_wrong_is_not_its_way(name, matrix):
     settings, recording = robot()
     bad = turned(name, recording.streams()[name], matrix)
-    counts = run(settings, recording.imu, recording.gnss, Measured({name: bad})).measured.verdicts(KINDS[name])
+    counts = run(settings, recording.imu, recording.gnss, Aiding({name: bad})).measured.verdicts(KINDS[name])
     assert counts[Verdict.CONTRADICTED] > 0.6 * len(bad) and counts.get(Verdict.USED, 0) < 0.02 * len(bad), counts
 
 
@@ -372,7 +372,7 @@ def test_what_a_robot_tells_wrong_is_not_its_way(name, matrix):
 def test_a_quiet_robot_does_not_stand_while_its_wheels_turn(seed):
     # given a robot on even ground that is as quiet in motion as at rest, and standstills by the accelerometers
     settings, recording = robot(seed, **{'vehicle.zero_velocity': True})
-    result = run(settings, recording.imu, recording.gnss, Measured(twist=recording.streams()['twist']))
+    result = run(settings, recording.imu, recording.gnss, Aiding(twist=recording.streams()['twist']))
     # then it neither loses its heading nor its place, driving or turning on the spot
     true = recording.reference
     north, east = radii(result.latitude)
@@ -388,7 +388,7 @@ def test_a_quiet_robot_does_not_stand_while_its_wheels_turn(seed):
 
 def off_with_fixes(recording, measured, after=30.0):
     """Distance of the filter's position from the truth, m, `after` s and later."""
-    result, true = run(config(*measured), recording.imu, recording.gnss, Measured(measured)), recording.reference
+    result, true = run(config(*measured), recording.imu, recording.gnss, Aiding(measured)), recording.reference
     north, east = radii(result.latitude)
     off = np.hypot((result.latitude - np.interp(result.stamp, true.stamp, true.latitude)) * north,
                    (result.longitude - np.interp(result.stamp, true.stamp, true.longitude)) * east
@@ -408,7 +408,7 @@ def test_a_speed_that_becomes_another_one_does_not_make_the_filter_refuse_the_fi
         # then it is refused as not the way between the fixes, and the filter is where these are
         of_speed = result.measured.kind == Kind.SPEED
         since = (result.measured.stamp[of_speed] - speed.stamp[0]) / SECOND
-        refused = result.measured.record[of_speed, Event.VERDICT] == Verdict.CONTRADICTED
+        refused = result.measured.event[of_speed, Event.VERDICT] == Verdict.CONTRADICTED
         assert not refused[since < 80.0].any() and refused[since > 120.0].all()
         assert np.sqrt(np.mean(off[-50 * 60:] ** 2)) < 2.0  # the last minute
 

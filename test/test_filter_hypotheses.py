@@ -18,7 +18,6 @@ from mems_ins_fusion.filter.trust.fix_drift import FORGETTING_TIME, FixDrift
 from mems_ins_fusion.filter.trust.hypotheses import (
     FAULT_END_RATE,
     FAULT_RATE,
-    JUMP_RATE,
     LOG_RANGE,
     OUTLIER_SHARE,
     RESTART_PENALTY,
@@ -85,7 +84,7 @@ def test_who_doubts_expects_them_to_go_on_being_off_as_they_were():
         believed, nats = judged(memory, r, z + [2.0 * k, 0.0], 2.0 + k)
         assert not believed
     scatter = 2.25 + 0.5 * (10.0 * UNDECLARED_OFFSET) ** 2
-    share = math.exp(-FAULT_END_RATE) * math.exp(-JUMP_RATE)
+    share = math.exp(-FAULT_END_RATE) * math.exp(-FAULT_END_RATE)
     narrowest = math.log(share / (2.0 * math.pi * scatter))
     assert narrowest - 0.7 < nats < narrowest + 1e-3
     np.testing.assert_allclose(memory[r + Hypothesis.DRIFT:r + Hypothesis.DRIFT + 2], [2.0, 0.0], atol=0.05)

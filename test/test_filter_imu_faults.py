@@ -143,18 +143,6 @@ def test_an_axis_that_is_stuck_is_not_believed_again_because_the_vehicle_may_hav
     assert certain_speed(memory, at, velocity_sigma(memory, at)) < MOVING_SPEED
 
 
-@BOTH
-def test_for_some_tenths_of_a_second_the_vehicle_goes_on_as_it_did(mechanization):
-    # given a vehicle that brakes with 3 m/s^2, while its IMU gives zeros for 0.2 s: 0.6 m/s
-    def nothing(samples):
-        samples[215:225, 1:] = 0.0
-
-    bridged, seen = (driven(mechanization, change, acceleration=-3.0)[2][-1, 0]
-                     for change in (nothing, lambda samples: None))
-    # then most of that is not lost
-    assert abs(bridged - seen) < 0.3
-
-
 def test_a_sensor_that_always_repeats_itself_at_rest_is_believed():
     def constant(samples):
         samples[100:, 1:] = samples[99, 1:]

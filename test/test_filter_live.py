@@ -200,7 +200,7 @@ def test_live_and_replay_give_the_same_bits_where_fixes_are_withdrawn(drive, mec
     published, _ = live(config, imu, fixes)
     replayed = run(config, imu, fixes)
     # then all of them are refused in the end, the first ones too
-    verdicts = replayed.measured.record[np.isin(replayed.measured.index, begin + np.arange(20)), Event.VERDICT]
+    verdicts = replayed.measured.event[np.isin(replayed.measured.index, begin + np.arange(20)), Event.VERDICT]
     assert len(verdicts) == 20 and (verdicts == Verdict.EXTRAPOLATED).all()
     # and what was published meanwhile is the same
     index = np.array([p[0] for p in published])

@@ -95,7 +95,7 @@ def test_equals_a_dense_smoother(values):
     # when it is smoothed with every seventh state kept
     run = smoothing._Smoothing(config, imu, fixes, aiding, START, keep).run()
     # then it is what a dense smoother says that looks at every sample
-    records = run.measured.record.copy()
+    records = run.measured.event.copy()
     records[:, Event.VERDICT] = Verdict.PENDING
     x, p = _dense(config, imu, records)
     at = run.index - 1

@@ -51,7 +51,7 @@ def test_a_fix_with_a_base_is_believed_at_once_behind_a_minute_without(drive, cl
     # then not more than a fix is refused, and with a base the error is its from the first fix on (all fixes of a minute
     # were refused before, as on a straight line, and the error was 0.3 m),
     measured = found.measured
-    verdicts = measured.record[measured.kind == Kind.POSITION, Event.VERDICT]
+    verdicts = measured.event[measured.kind == Kind.POSITION, Event.VERDICT]
     assert (~np.isin(verdicts, (Verdict.USED, Verdict.WEIGHTED))).sum() <= 1
     assert rms(errors.horizontal[settled & with_base]) < (0.05 if told else 0.2)
     # without one it is below that of the fixes, 2.8 m, and the ellipse holds

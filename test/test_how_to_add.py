@@ -20,10 +20,11 @@ def test_the_files_are_there(name):
     ('filter/memory.py', ['BY_NAME', 'Head', 'MECHANIZATIONS', 'Nav']),
     ('filter/apply.py', ['_observe']),
     ('filter/measurements/geometry.py', ['body_to_level', 'turn_attitude', 'set_heading']),
-    ('filter/measurements/registry.py', ['AIDING']), ('filter/measurements/base.py', ['Measurement', 'records']),
+    ('filter/measurements/registry.py', ['AIDING']), ('filter/measurements/base.py', ['Measurement', 'events']),
     ('recordings/aiding.py', ['_CHECKS']), ('filter/config.py', ['_write_head']),
     ('sensor_errors/models.py', ['MODELS', 'Model']), ('parameters/table.py', ['_sensor']),
-    ('filter/runs/odometry.py', ['corrected']), ('navigation/planar.py', ['STATES', 'State', 'CHANNELS', 'mechanize']),
+    ('filter/runs/odometry.py', ['navigation_solution']),
+    ('navigation/planar.py', ['STATES', 'State', 'CHANNELS', 'mechanize']),
     ('navigation/strapdown.py', ['STATES', 'State', 'CHANNELS', 'mechanize', 'error_step'])])
 def test_what_is_named_is_in_them(file, names):
     text = (ROOT / 'mems_ins_fusion' / file).read_text(encoding='utf-8')
@@ -35,7 +36,7 @@ def test_what_is_named_is_in_them(file, names):
 @pytest.mark.parametrize('name', ['position', 'speed', 'velocity', 'heading', 'pressure', 'twist', 'magnetometer'])
 def test_a_measurement_is_what_the_page_says(name):
     text = (ROOT / 'mems_ins_fusion' / 'filter' / 'measurements' / f'{name}.py').read_text(encoding='utf-8')
-    assert 'def observe(' in text and 'def records(' in text
+    assert 'def observe(' in text and 'def events(' in text
 
 
 def section(title):

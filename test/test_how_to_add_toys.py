@@ -142,7 +142,7 @@ for k in (0.0, 0.1, 0.2, 0.3):
     values = table.check({**PAPER, 'mechanization': 'planar', 'gnss.sigma': 0.1, 'gnss.adapt_sigma': False,
                           'gyroscope.gauss_markov.sigma': [1e-5], 'gyroscope.initial_sigma': [1e-5]})
     config = FilterConfig.from_parameters(effect.adjusted(values, {'k': k}))
-    record = run(config, recording.imu, recording.gnss).measured.record
+    record = run(config, recording.imu, recording.gnss).measured.event
     fits[k] = float(np.square(record[:, [Event.Z_N, Event.Z_E]]).sum())
 print(json.dumps(fits))
 """)
@@ -204,7 +204,7 @@ from ...navigation import strapdown
 from ...samples import _Samples
 from ..memory import Event, Nav
 from .base import Measurement
-from .records import empty, stated_or
+from .events import empty, stated_or
 
 KIND = 20
 
@@ -232,7 +232,7 @@ class Altitude(Measurement):
     written_to = '/altitude'
     simulated_with = {'altitude_rate': 0.0, 'altitude_sigma': 0.1}
 
-    def records(self, settings, altitudes):
+    def events(self, settings, altitudes):
         n = len(altitudes)
         r = empty(KIND, n)
         r[:, Event.VALUE] = altitudes.altitude
@@ -275,7 +275,7 @@ from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.several import later
 from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.simulation import Aiding as Simulated, simulate_recording
+from mems_ins_fusion.simulation.simulation import SimulatedAiding, simulate_recording
 imu, fixes = at_rest(8), fixes_at(range(8), 10.0)
 stamp = np.arange(1, 8) * SECOND + SECOND // 2
 altitudes = Altitudes(stamp, stamp, np.full(len(stamp), HEIGHT + 7.0), np.full(len(stamp), 0.01))
@@ -287,7 +287,7 @@ for name, aiding in (('alone', Aiding()), ('with it', Aiding(altitude=altitudes)
 # and it is on its way everywhere else
 values = table.check({'altitude_topic': '/altitude', 'altitude.sigma': 0.2})
 drive = simulate_drive(20.0, 3, RATE, standstill=10.0)
-recording = simulate_recording(drive, aiding=Simulated(altitude_rate=5.0)).recording
+recording = simulate_recording(drive, aiding=SimulatedAiding(altitude_rate=5.0)).recording
 found['simulated'] = len(recording.streams()['altitude'])
 found['cut'] = len(aiding_of(later(cut(recording, 0.0, 10.0), SECOND))['altitude'])
 found['checked'] = sorted({finding.topic for finding in check_recording(recording)})

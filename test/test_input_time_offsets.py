@@ -14,7 +14,7 @@ from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.vehicle_check import found_time_offsets
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 
 INPUTS = 'speed', 'velocity', 'twist', 'heading'
 
@@ -28,7 +28,7 @@ def through(recording, name, late=0.0, **values):
     """The run with the input `name` stamped `late` s too late; its offset as estimated, and its sigma."""
     samples = recording.streams()[name]
     config = FilterConfig.from_parameters(table.check({f'{name}_topic': f'/{name}', **values}))
-    result = run(config, recording.imu, recording.gnss, Measured(**{
+    result = run(config, recording.imu, recording.gnss, Aiding(**{
         name: replace(samples, stamp=samples.stamp + round(late * 1e9))}))
     state = config.layout.index(f'{name}_time_offset')
     return (result, float(result.extras[-1, state - config.layout.n]), float(result.sigma[-1, state])) if (
@@ -97,7 +97,7 @@ def test_a_clock_that_jumps_is_followed_within_two_manoeuvres(recording, name):
     since = (samples.stamp - recording.imu.stamp[0]) * 1e-9
     late = replace(samples, stamp=samples.stamp + np.where(since > 100.0, 5 * 10**8, 0))
     config = FilterConfig.from_parameters(table.check({f'{name}_topic': f'/{name}'}))
-    result = run(config, recording.imu, recording.gnss, Measured(**{name: late}))
+    result = run(config, recording.imu, recording.gnss, Aiding(**{name: late}))
     state = config.layout.index(f'{name}_time_offset')
     found, sigma = result.extras[:, state - config.layout.n], result.sigma[:, state]
     before, after = np.searchsorted(result.stamp, recording.imu.stamp[0] + np.array([100, 130]) * 10**9)

@@ -22,11 +22,10 @@ from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.several import later
 from mems_ins_fusion.recordings.writing import write_recording
-from mems_ins_fusion.samples import Aiding as Measured
-from mems_ins_fusion.samples import MagneticFields
+from mems_ins_fusion.samples import Aiding, MagneticFields
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.manoeuvres import SLOW
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 TOPIC = {'magnetometer_topic': '/mag', 'vehicle.zero_velocity': False}
 CLEAN = {'magnetometer_disturbance': 0.0}
@@ -37,7 +36,7 @@ def robot(seed, duration=150.0, rate=50.0, mounting_rpy=(0.0, 0.0, 0.0), **error
     drive = simulate_drive(duration, seed, rate, standstill=10.0, manoeuvres=SLOW, grade=0.03, bank=0.03)
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     return simulate_recording(drive, sensors, GnssNoise(1.5, 1.0), mounting_rpy=mounting_rpy, seed=seed,
-                              aiding=Aiding(magnetometer_rate=20.0, **errors)).recording
+                              aiding=SimulatedAiding(magnetometer_rate=20.0, **errors)).recording
 
 
 @pytest.fixture(scope='module')
@@ -51,7 +50,7 @@ def config(**values):
 
 def driven(recording, samples=None, **values):
     samples = recording.others['magnetometer'] if samples is None else samples
-    return run(config(**values), recording.imu, recording.gnss, Measured(magnetometer=samples))
+    return run(config(**values), recording.imu, recording.gnss, Aiding(magnetometer=samples))
 
 
 def heading_error(recording, result):
@@ -126,7 +125,7 @@ def test_measured_iron_tells_the_heading_at_rest():
     # given a robot that stands still, and what somebody has measured of its iron, in the axes of an IMU that is turned
     rpy = (0.0, 0.0, 0.5)
     drive = simulate_drive(20.0, 4, 50.0, standstill=20.0)
-    made = simulate_recording(drive, None, GnssNoise(1.5, 1.0), mounting_rpy=rpy, seed=4, aiding=Aiding(
+    made = simulate_recording(drive, None, GnssNoise(1.5, 1.0), mounting_rpy=rpy, seed=4, aiding=SimulatedAiding(
         magnetometer_rate=20.0, magnetometer_hard_iron=0.0, magnetometer_soft_iron=0.0, magnetometer_declination=0.0,
         magnetometer_disturbance=0.0)).recording
     fields, iron = made.others['magnetometer'], np.array([12e-6, -20e-6, 5e-6])
@@ -151,7 +150,7 @@ def test_iron_beside_the_way_does_not_turn_the_heading(slow):
     off = np.degrees(np.angle(np.exp(1j * (result.yaw - clean.yaw))))[during]
     # then it is refused, and the heading hardly moves: by itself it would be some 20 deg off
     measured = result.measured
-    refused = (measured.kind == Kind.MAGNETIC) & (measured.record[:, Event.VERDICT] == 3)
+    refused = (measured.kind == Kind.MAGNETIC) & (measured.event[:, Event.VERDICT] == 3)
     assert refused.sum() > 0.9 * beside.sum() and np.abs(off).max() < 1.5
 
 
@@ -167,7 +166,8 @@ def test_iron_that_a_run_before_has_learned_tells_the_heading_at_rest(slow):
     before = FusionFilter(config())
     lived(before, slow, 'magnetometer')
     rest = simulate_recording(simulate_drive(20.0, 8, 50.0, standstill=20.0, manoeuvres=SLOW), None,
-                              GnssNoise(1.5, 1.0), seed=8, aiding=Aiding(magnetometer_rate=20.0, **CLEAN)).recording
+                              GnssNoise(1.5, 1.0), seed=8,
+                              aiding=SimulatedAiding(magnetometer_rate=20.0, **CLEAN)).recording
     rest = later(rest, 600 * 10**9)
     # then it starts with the heading of the field; without what it knows it waits for a turn
     for snapshot in (before.snapshot(), None):
@@ -204,7 +204,7 @@ def test_a_bag_keeps_it_and_configure_and_the_checker_know_its_unit(slow, tmp_pa
 def test_of_a_car_it_is_checked_against_the_course_and_left_out_by_configure(tmp_path):
     drive = simulate_drive(240.0, 3, 50.0, standstill=10.0)
     recording = simulate_recording(drive, None, GnssNoise(0.5, 2.0), seed=3,
-                                   aiding=Aiding(magnetometer_rate=20.0, **CLEAN)).recording
+                                   aiding=SimulatedAiding(magnetometer_rate=20.0, **CLEAN)).recording
     fields, rng = recording.others['magnetometer'], np.random.default_rng(1)
     said = {}
     for name, part in (('its own', fields), ('a lorry beside it', replace(
@@ -230,5 +230,5 @@ def test_what_cannot_be_is_said(slow):
     assert any('uT is outside 5 to 500 uT: dropped (a wrong magnetometer.factor' in notice.text
                for notice in result.notices)
     # and a filter that does not ask for it has no states for its iron
-    unasked = run(config(magnetometer_topic=''), slow.imu, slow.gnss, Measured(magnetometer=fields))
+    unasked = run(config(magnetometer_topic=''), slow.imu, slow.gnss, Aiding(magnetometer=fields))
     assert any('magnetometer_topic is empty' in notice.text for notice in unasked.notices)

@@ -26,9 +26,9 @@ from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.reports import replay as replay_report
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 FRONT = [0.8, 0.0, 1.0]
 REAR = {'inputs': ['rear'], 'rear.type': 'fix', 'rear.topic': '/rear/fix', 'rear.lever_arm': [-0.8, 0.0, 1.0]}
@@ -48,12 +48,12 @@ def recorded(values, duration=120.0, seed=2, standstill=10.0, rate=50.0, sensors
     sensors = sensors or SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     named = [one for one in aiding(values) if not one.is_plain]
     return simulate_recording(drive, sensors, GnssNoise(SIGMA, 2.0), [arm], seed=seed, named=named,
-                              aiding=Aiding(fix_rate=2.0, fix_sigma=SIGMA, **errors)).recording
+                              aiding=SimulatedAiding(fix_rate=2.0, fix_sigma=SIGMA, **errors)).recording
 
 
 def through(values, recording, names=None):
     samples = {name: part for name, part in recording.others.items() if names is None or name in names}
-    return run(FilterConfig.from_parameters(values), recording.imu, recording.gnss, Measured(samples))
+    return run(FilterConfig.from_parameters(values), recording.imu, recording.gnss, Aiding(samples))
 
 
 def yaw_error(recording, result):
@@ -107,17 +107,17 @@ def test_each_receiver_has_its_arm_clock_and_scale():
     assert len(mine.stamp) > 150
     # then each is taken at its own time and fits there
     assert np.abs(mine.stamp - (late.stamp[mine.index] - 200_000_000)).max() < 1000
-    assert np.abs(mine.record[20:, [Event.Z_N, Event.Z_E]]).max() < 0.3
+    assert np.abs(mine.event[20:, [Event.Z_N, Event.Z_E]]).max() < 0.3
     wrong = through({**values, 'rear.time_offset': 0.0, 'rear.time_offset_sigma': 0.0}, recording)
     theirs = wrong.measured.select(wrong.measured.kind == FIRST_NAMED)
-    assert np.abs(theirs.record[20:, [Event.Z_N, Event.Z_E]]).max() > 1.0
+    assert np.abs(theirs.event[20:, [Event.Z_N, Event.Z_E]]).max() > 1.0
     # where nobody has declared it, it is estimated
     left = through({**values, 'rear.time_offset': 0.0}, recording)
     state = left.config.layout.index('rear_time_offset')
     found, sigma = left.extras[-1, state - left.config.layout.n], left.sigma[-1, state]
     assert found == pytest.approx(0.2, abs=3.0 * sigma) and sigma < 0.02
     theirs = left.measured.select(left.measured.kind == FIRST_NAMED)
-    assert np.abs(theirs.record[20:, [Event.Z_N, Event.Z_E]]).max() < 0.3
+    assert np.abs(theirs.event[20:, [Event.Z_N, Event.Z_E]]).max() < 0.3
     # and its scale is learned beside the other's
     at = state_at(result.memory, int(result.memory[Head.SAMPLES])) + int(result.memory[Head.WIDTH]) - Seen.SIZE
     assert 2.5 < np.sqrt(scale(result.memory, at)) < 8.0
@@ -165,7 +165,7 @@ def test_live_and_replay_give_the_same_bits_and_each_has_its_tally():
     recording = recording.having({'right': broken})
     config = FilterConfig.from_parameters(values)
     parts = {**recording.others, 'speed': recording.speed}
-    replayed = run(config, recording.imu, recording.gnss, Measured(parts))
+    replayed = run(config, recording.imu, recording.gnss, Aiding(parts))
     fusion = FusionFilter(config)
     same_bits(replayed, lived(fusion, recording, 'speed', 'rear', 'left', 'right', 'roof'), 2000)
     health = fusion.health()
@@ -188,7 +188,7 @@ def test_a_receiver_that_fixes_contradict_stays_refused_when_they_end():
     result = through(values, recording.having({'rear': rear}))
     # then it is used until it is off, and refused from then on
     mine = result.measured.select(result.measured.kind == FIRST_NAMED)
-    verdict, since = mine.record[:, Event.VERDICT], time[mine.index]
+    verdict, since = mine.event[:, Event.VERDICT], time[mine.index]
     assert np.isin(verdict[(since > 20.0) & (since < 60.0)], (Verdict.USED, Verdict.WEIGHTED)).all()
     assert (verdict[off[mine.index] != 0.0] == Verdict.REFUSED).all()
     # and the position is as without it
@@ -219,7 +219,7 @@ def test_an_outage_withholds_the_second_receiver_too():
     recording = recorded(values)
     begin = recording.imu.stamp[0] + np.array([60 * 10**9])
     config = FilterConfig.from_parameters(values)
-    _, outages = run_with_outages(config, recording.imu, recording.gnss, begin, 30.0, Measured(recording.others))
+    _, outages = run_with_outages(config, recording.imu, recording.gnss, begin, 30.0, Aiding(recording.others))
     assert outages.run.sigma[-1, 0] > 0.5
 
 

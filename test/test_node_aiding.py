@@ -10,7 +10,7 @@ from ros_support import PLAYABLE, Diagnostics, NodeProcess, Player, hears
 
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.manoeuvres import SLOW
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 SENSORS = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
 
@@ -20,7 +20,7 @@ def car():
     """70 s at 50 Hz: a standstill, then a drive, with odometry and a barometer."""
     return simulate_recording(simulate_drive(70.0, seed=3, rate=50.0, standstill=6.0), SENSORS,
                               GnssNoise(sigma=0.5, rate=2.0), seed=3,
-                              aiding=Aiding(twist_rate=20.0, pressure_rate=5.0)).recording
+                              aiding=SimulatedAiding(twist_rate=20.0, pressure_rate=5.0)).recording
 
 
 @pytest.fixture(scope='module')
@@ -28,7 +28,7 @@ def robot():
     """60 s at 50 Hz of a robot at 0.4 m/s, with a magnetometer."""
     return simulate_recording(simulate_drive(60.0, 8, 50.0, standstill=6.0, manoeuvres=SLOW), SENSORS,
                               GnssNoise(sigma=1.5, rate=2.0), seed=8,
-                              aiding=Aiding(magnetometer_rate=5.0, magnetometer_disturbance=0.0)).recording
+                              aiding=SimulatedAiding(magnetometer_rate=5.0, magnetometer_disturbance=0.0)).recording
 
 
 @contextmanager

@@ -10,7 +10,13 @@ from sensor_msgs.msg import NavSatFix
 
 from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.simulation.simulation import (
+    GnssNoise,
+    SensorErrors,
+    SimulatedAiding,
+    simulate_drive,
+    simulate_recording,
+)
 
 SENSORS = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
 GIVEN = {'inputs': ['rear', 'left', 'lidar'],
@@ -23,7 +29,7 @@ def recording():
     """60 s at 50 Hz: a standstill, then a drive, with a second receiver, one wheel and the poses of a lidar."""
     named = [one for one in aiding(table.check(GIVEN)) if not one.is_plain]
     return simulate_recording(simulate_drive(60.0, seed=3, rate=50.0, standstill=6.0), SENSORS, GnssNoise(0.5, 2.0),
-                              seed=3, aiding=Aiding(fix_rate=2.0, fix_sigma=0.5), named=named).recording
+                              seed=3, aiding=SimulatedAiding(fix_rate=2.0, fix_sigma=0.5), named=named).recording
 
 
 def test_each_named_input_is_used_and_has_its_own_status(recording, peer):

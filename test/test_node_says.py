@@ -15,7 +15,13 @@ from sensor_msgs.msg import NavSatFix
 from std_srvs.srv import Trigger
 
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.simulation.simulation import (
+    GnssNoise,
+    SensorErrors,
+    SimulatedAiding,
+    simulate_drive,
+    simulate_recording,
+)
 
 SENSORS = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
 
@@ -25,7 +31,7 @@ def recording():
     """60 s at 50 Hz: a standstill, then a drive, with wheel speed and heading."""
     return simulate_recording(simulate_drive(60.0, seed=3, rate=50.0, standstill=6.0), SENSORS,
                               GnssNoise(sigma=0.5, rate=2.0), seed=3,
-                              aiding=Aiding(speed_rate=10.0, heading_rate=5.0, speed_scale=0.0)).recording
+                              aiding=SimulatedAiding(speed_rate=10.0, heading_rate=5.0, speed_scale=0.0)).recording
 
 
 def in_kilometres_an_hour(name, i, message):

@@ -17,9 +17,9 @@ from std_srvs.srv import Trigger
 from mems_ins_fusion.nodes.inputs import Queue, stamp_of
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import (
-    Aiding,
     GnssNoise,
     SensorErrors,
+    SimulatedAiding,
     simulate_drive,
     simulate_recording,
 )
@@ -35,7 +35,7 @@ def recording():
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     return simulate_recording(simulate_drive(20.0, seed=3, rate=400.0, standstill=6.0), sensors,
                               GnssNoise(sigma=0.5, rate=5.0), seed=3,
-                              aiding=Aiding(speed_rate=100.0, velocity_rate=50.0, heading_rate=50.0)).recording
+                              aiding=SimulatedAiding(speed_rate=100.0, velocity_rate=50.0, heading_rate=50.0)).recording
 
 
 def test_everything_arrives_and_services_answer_while_a_clock_of_a_thousand_hertz_ticks(recording, peer):

@@ -32,7 +32,13 @@ from mems_ins_fusion.diagnosis.trial import Trial
 from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
 from mems_ins_fusion.filter.runs import betting
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.simulation.simulation import (
+    GnssNoise,
+    SensorErrors,
+    SimulatedAiding,
+    simulate_drive,
+    simulate_recording,
+)
 
 SECOND = 10**9
 OFFSET, NAME = 0.4, 'gnss_time_offset'
@@ -259,7 +265,7 @@ def drive():
     """Eleven minutes at 20 Hz, fixes stamped OFFSET late."""
     sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
     recording = simulate_recording(simulate_drive(670.0, seed=5, rate=20.0), sensors, GnssNoise(0.1, rate=2.0), seed=5,
-                                   aiding=Aiding(speed_rate=5.0)).recording
+                                   aiding=SimulatedAiding(speed_rate=5.0)).recording
     gnss = recording.gnss
     stamp, received = gnss.stamp + round(OFFSET * SECOND), gnss.received + round(OFFSET * SECOND)
     return replace(recording, gnss=replace(gnss, stamp=stamp, received=received))

@@ -16,9 +16,9 @@ from mems_ins_fusion.filter.runs.replay import run_with_outages
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 SECOND = 10**9
 LIDAR = {'inputs': ['lidar'], 'lidar.type': 'pose', 'lidar.topic': '/lidar/odometry',
@@ -31,7 +31,7 @@ def drive():
     values = table.check(LIDAR)
     path = simulate_drive(240.0, 3, 50.0, standstill=20.0, hills=True)
     made = simulate_recording(path, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.5, 2.0),
-                              seed=3, aiding=Aiding(twist_scale=0.0), named=[aiding(values)[-1]])
+                              seed=3, aiding=SimulatedAiding(twist_scale=0.0), named=[aiding(values)[-1]])
     return values, made.recording
 
 
@@ -64,7 +64,7 @@ def test_what_is_no_way_is_not_one(wrong):
     n = np.zeros(3, dtype=np.int64)
     values = table.check(LIDAR)
     lidar = aiding(values)[-1]
-    _, reasons, _ = lidar.records(lidar.settings(values), lidar.samples(n, n, twist, twist * np.nan, place[1:],
+    _, reasons, _ = lidar.events(lidar.settings(values), lidar.samples(n, n, twist, twist * np.nan, place[1:],
                                                                         attitude[1:], n))
     assert 'a pose that is not finite, or not 0 to 1 s after' in reasons[1] and 0 not in reasons
 
@@ -96,8 +96,8 @@ def errors_without_fixes(values, recording, samples):
 
 def test_without_fixes_it_is_worth_an_odometry(drive):
     values, recording = drive
-    alone = errors_without_fixes(values, recording, Measured())
-    with_poses = errors_without_fixes(values, recording, Measured(recording.others))
+    alone = errors_without_fixes(values, recording, Aiding())
+    with_poses = errors_without_fixes(values, recording, Aiding(recording.others))
     assert len(alone) > 6
     assert with_poses.max() < 5.0 < alone.max() and with_poses.mean() < 0.5 * alone.mean()
 

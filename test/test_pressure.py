@@ -23,10 +23,10 @@ from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation import manoeuvres
 from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 
 def made(seed=5, duration=240.0, rate=50.0, vertical=4.0, effects=(), deck=manoeuvres.CITY, **errors):
@@ -34,7 +34,7 @@ def made(seed=5, duration=240.0, rate=50.0, vertical=4.0, effects=(), deck=manoe
     drive = simulate_drive(duration, seed, rate, standstill=10.0, hills=True, manoeuvres=deck)
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     return simulate_recording(drive, sensors, GnssNoise(1.5, 1.0, vertical_sigma=vertical), effects, seed=seed,
-                              aiding=Aiding(pressure_rate=10.0, **errors)).recording
+                              aiding=SimulatedAiding(pressure_rate=10.0, **errors)).recording
 
 
 def config(**values):
@@ -85,7 +85,7 @@ def test_it_knows_the_height_where_fixes_do_not_and_in_an_outage():
     recording = made()
     begin = recording.imu.stamp[0] + np.array([100, 160]) * 10**9
     error, lost = {}, {}
-    for name, aiding in (('without', Measured()), ('with', Measured(pressure=recording.others['pressure']))):
+    for name, aiding in (('without', Aiding()), ('with', Aiding(pressure=recording.others['pressure']))):
         values = {} if name == 'with' else {'pressure_topic': ''}
         whole, outages = run_with_outages(config(**values), recording.imu, recording.gnss, begin, 60.0, aiding)
         settled = whole.stamp > recording.imu.stamp[0] + 60 * 10**9
@@ -103,7 +103,7 @@ def test_the_flow_of_the_air_is_told_from_a_climb(share, tmp_path):
     # given a barometer that measures a share of the dynamic pressure
     recording = made(vertical=1.0, effects=[(EFFECTS['pressure_dynamic'], {'share': share})])
     # when the filter knows nothing of it
-    result = run(config(), recording.imu, recording.gnss, Measured(pressure=recording.others['pressure']))
+    result = run(config(), recording.imu, recording.gnss, Aiding(pressure=recording.others['pressure']))
     # then it is a state, as sure as it says, and heights are those of the fixes
     at = result.config.layout.extras.index('pressure_dynamic')
     sigma = result.sigma[-1, result.config.layout.index('pressure_dynamic')]
@@ -144,7 +144,7 @@ def test_a_window_that_opens_is_not_taken_for_a_climb():
     gust = replace(pressure, pressure=pressure.pressure - 300.0 * ((at > 150.0) & (at < 155.0)))
     found = {}
     for name, samples in (('calm', pressure), ('gust', gust)):
-        result = run(config(), recording.imu, recording.gnss, Measured(pressure=samples))
+        result = run(config(), recording.imu, recording.gnss, Aiding(pressure=samples))
         found[name] = result
     # then its bias takes it
     assert np.abs(found['gust'].height - found['calm'].height).max() < 1.0
@@ -153,7 +153,7 @@ def test_a_window_that_opens_is_not_taken_for_a_climb():
 def test_live_and_replay_give_the_same_bits():
     recording = made(duration=100.0)
     pressure = recording.others['pressure']
-    replayed = run(config(), recording.imu, recording.gnss, Measured(pressure=pressure))
+    replayed = run(config(), recording.imu, recording.gnss, Aiding(pressure=pressure))
     fusion = FusionFilter(config())
     same_bits(replayed, lived(fusion, recording, 'pressure'), 2000)
     health = fusion.health()
@@ -182,7 +182,7 @@ def test_what_cannot_be_is_said():
     recording = made(duration=30.0)
     pressure = recording.others['pressure']
     wrong = replace(pressure, pressure=np.where(np.arange(len(pressure)) % 2, 1013.0, np.nan))
-    result = run(config(), recording.imu, recording.gnss, Measured(pressure=wrong))
+    result = run(config(), recording.imu, recording.gnss, Aiding(pressure=wrong))
     assert not (result.measured.kind == Kind.PRESSURE).any()
     assert any('/pressure: pressure 1013 Pa is outside 40000 to 115000 Pa: dropped (a wrong pressure.factor'
                in notice.text for notice in result.notices)
@@ -196,7 +196,7 @@ def test_an_input_without_a_topic_is_not_used_and_that_is_said(mechanization):
     # given pressures that nobody has asked for, of which the planar filter knows nothing
     recording = made(duration=60.0)
     unasked = config(pressure_topic='', mechanization=mechanization)
-    with_them = run(unasked, recording.imu, recording.gnss, Measured(pressure=recording.others['pressure']))
+    with_them = run(unasked, recording.imu, recording.gnss, Aiding(pressure=recording.others['pressure']))
     # then all is as without them
     assert np.array_equal(with_them.latitude, run(unasked, recording.imu, recording.gnss).latitude)
     assert [n.text for n in with_them.notices if 'pressure' in n.text] == ['pressure_topic is empty: pressure not used']

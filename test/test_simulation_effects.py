@@ -10,7 +10,13 @@ from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.sensor_errors.models import GaussMarkov
 from mems_ins_fusion.simulation.drive import START_STAMP
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.simulation.simulation import (
+    GnssNoise,
+    SensorErrors,
+    SimulatedAiding,
+    simulate_drive,
+    simulate_recording,
+)
 
 SENSORS = SensorErrors((GaussMarkov(0.05, 100.0),) * 3, (GaussMarkov(1e-3, 100.0),) * 3, (0.01,) * 3, (1e-4,) * 3)
 DURATION = 240.0
@@ -288,7 +294,7 @@ def test_a_warming_gyroscope_forgets_its_bias(drive):
 
 
 def test_wheels_of_another_size_measure_another_speed(drive):
-    aiding = Aiding(speed_rate=10.0, speed_scale=0.0)
+    aiding = SimulatedAiding(speed_rate=10.0, speed_scale=0.0)
     speeds = [simulate_recording(drive, effects=effects, aiding=aiding).recording.speed
               for effects in ([], [(EFFECTS['speed_scale'], {'scale': 0.04})])]
     true = drive.path.wheel_speed((speeds[0].stamp - START_STAMP) * 1e-9)
@@ -321,9 +327,9 @@ def test_late_stamps_keep_their_order(drive):
 def test_what_is_measured_through_a_low_pass_lags_as_a_low_pass_does(drive, name, value):
     # given an input without noise, and a low pass of 0.4 s that follows it 200 times a second
     tau, rate = 0.4, 200.0
-    quiet = Aiding(**{f'{name}_rate': rate}, speed_sigma=0.0, speed_scale=0.0, velocity_sigma=0.0, heading_sigma=0.0,
-                   twist_sigma=0.0, twist_turn_sigma=0.0, twist_scale=0.0, twist_turn_scale=0.0,
-                   magnetometer_sigma=0.0, magnetometer_disturbance=0.0)
+    quiet = SimulatedAiding(**{f'{name}_rate': rate}, speed_sigma=0.0, speed_scale=0.0, velocity_sigma=0.0,
+                            heading_sigma=0.0, twist_sigma=0.0, twist_turn_sigma=0.0, twist_scale=0.0,
+                            twist_turn_scale=0.0, magnetometer_sigma=0.0, magnetometer_disturbance=0.0)
     lagging, plain = (np.asarray(getattr(simulate_recording(drive, SENSORS, RECEIVER, [(
         EFFECTS[f'{name}_lag'], {'tau': lag})], seed=6, aiding=quiet).recording.streams()[name], value))
         for lag in (tau, 0.0))

@@ -16,7 +16,7 @@ from mems_ins_fusion.recordings.errors import RecordingWarning
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.scene import FLAT, REALISTIC
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, Vibration, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SimulatedAiding, Vibration, simulate_recording
 
 
 @pytest.fixture(scope='module')
@@ -108,7 +108,7 @@ def test_the_surface_varies_about_its_mean():
 
 
 def test_aiding_is_the_truth_with_its_noise(realistic):
-    aiding = Aiding(speed_rate=10.0, velocity_rate=5.0, heading_rate=5.0)
+    aiding = SimulatedAiding(speed_rate=10.0, velocity_rate=5.0, heading_rate=5.0)
     arm = (EFFECTS['gnss_lever_arm'], {'x': 0.5, 'y': 1.0, 'z': 1.5})
     recording = simulate_recording(realistic, effects=[arm], aiding=aiding, seed=6).recording
 

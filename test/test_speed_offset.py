@@ -19,10 +19,9 @@ from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.writing import write_recording
-from mems_ins_fusion.samples import Aiding as Measured
-from mems_ins_fusion.samples import Speeds
+from mems_ins_fusion.samples import Aiding, Speeds
 from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 MOUNTING = (0.0, 0.05, 0.4)
 
@@ -34,7 +33,7 @@ def drive_with_wheels(offset=0.0, seed=4, duration=200.0, velocity_rate=0.0, lag
     effects = [(EFFECTS['speed_time_offset'], {'time_offset': offset}),
                *((EFFECTS[f'{name}_lag'], {'tau': lag}) for name in ('speed', 'twist', 'heading'))]
     return simulate_recording(drive, sensors, GnssNoise(0.02, 5.0), effects, MOUNTING, seed,
-                              aiding=Aiding(speed_rate=10.0, velocity_rate=velocity_rate, **aided)).recording
+                              aiding=SimulatedAiding(speed_rate=10.0, velocity_rate=velocity_rate, **aided)).recording
 
 
 @pytest.mark.parametrize('offset', [-0.2, 0.0, 0.35])
@@ -63,7 +62,7 @@ def test_what_shows_nothing_is_told_as_nothing():
 def test_the_filter_takes_each_input_at_its_own_time():
     # given
     made, late = drive_with_wheels(0.0, velocity_rate=5.0), 0.3
-    aiding = Measured(speed=made.speed, velocity=made.velocity)
+    aiding = Aiding(speed=made.speed, velocity=made.velocity)
     given = {'speed_topic': '/speed', 'velocity_topic': '/velocity', 'imu.mounting_rpy': list(MOUNTING),
              'gnss.time_offset': 0.05, 'velocity.time_offset': 0.02, 'speed.time_offset': late}
     # when
@@ -118,8 +117,8 @@ def test_with_the_offset_told_innovations_of_the_speed_are_those_of_one_in_time(
     for told in (0.0, 0.35):
         values = table.check({'speed_topic': '/speed', 'imu.mounting_rpy': list(MOUNTING), 'speed.time_offset': told,
                               'speed.time_offset_sigma': 0.0})
-        found = run(FilterConfig.from_parameters(values), made.imu, made.gnss, Measured(speed=made.speed)).measured
-        spread[told] = np.sqrt(np.mean(found.record[found.kind == Kind.SPEED, Event.Z_N] ** 2))
+        found = run(FilterConfig.from_parameters(values), made.imu, made.gnss, Aiding(speed=made.speed)).measured
+        spread[told] = np.sqrt(np.mean(found.event[found.kind == Kind.SPEED, Event.Z_N] ** 2))
     # then: its noise is 0.05 m/s, and what is left of its scale of 1 % before it is found
     assert spread[0.35] < 0.08 < 0.15 < spread[0.0]
 
@@ -134,9 +133,9 @@ def test_with_the_low_pass_told_innovations_are_those_of_an_input_without(name, 
     for told in (0.0, 0.7):
         values = table.check({f'{name}_topic': f'/{name}', 'imu.mounting_rpy': list(MOUNTING), f'{name}.lag': told,
                               f'{name}.time_offset': 0.7, f'{name}.time_offset_sigma': 0.0})
-        found = run(FilterConfig.from_parameters(values), made.imu, made.gnss, Measured(**{
+        found = run(FilterConfig.from_parameters(values), made.imu, made.gnss, Aiding(**{
             name: made.streams()[name]})).measured
-        z = found.record[found.kind == kind, component]
+        z = found.event[found.kind == kind, component]
         spread[told] = np.sqrt(np.mean(z[len(z) // 4:] ** 2)) / noise
     # then with it only their noise is left, and what the state and its scale may be off by
     assert spread[0.7] < min(1.2, 0.93 * spread[0.0]) and spread[0.0] > offset_alone
@@ -172,8 +171,8 @@ def test_the_checker_and_diagnose_tell_the_clock_of_each_input(name, values, aga
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     named = [one for one in aiding(values) if not one.is_plain]
     made = simulate_recording(simulate_drive(200.0, 4, 100.0, standstill=10.0), sensors, GnssNoise(0.02, 5.0), (),
-                              MOUNTING, 4, named=named, aiding=Aiding(velocity_rate=5.0, heading_rate=5.0, fix_rate=5.0,
-                                                                      fix_sigma=0.02)).recording
+                              MOUNTING, 4, named=named, aiding=SimulatedAiding(
+                                  velocity_rate=5.0, heading_rate=5.0, fix_rate=5.0, fix_sigma=0.02)).recording
     moved = {one: replace(samples, stamp=samples.stamp + 3 * 10**8) for one, samples in made.streams().items()}
     late = replace(made, gnss=replace(made.gnss, stamp=made.gnss.stamp + 2 * 10**8)).having({name: moved[name]})
     # then it is told beside what is declared; that of the receiver's velocity counts beside the fixes' own

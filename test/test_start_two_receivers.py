@@ -15,10 +15,10 @@ from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.start.two_receivers import find_heading
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.manoeuvres import SLOW
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 ARM = np.array([-0.9, 0.2])  # m, from the main antenna to the other, forward and right
 SIGMA = 0.02  # m
@@ -82,9 +82,9 @@ def test_a_robot_starts_within_seconds_of_driving_off_live_as_in_a_replay():
         drive = simulate_drive(60.0, seed, 50.0, standstill=20.0, manoeuvres=SLOW)
         recording = simulate_recording(
             drive, sensors, GnssNoise(SIGMA, 5.0), [(EFFECTS['gnss_lever_arm'], {'x': 0.4, 'y': 0.0, 'z': 0.5})],
-            seed=seed, aiding=Aiding(fix_rate=5.0, fix_sigma=SIGMA),
+            seed=seed, aiding=SimulatedAiding(fix_rate=5.0, fix_sigma=SIGMA),
             named=[one for one in aiding(values) if not one.is_plain]).recording
-        config, samples = FilterConfig.from_parameters(values), Measured({'rear': recording.others['rear']})
+        config, samples = FilterConfig.from_parameters(values), Aiding({'rear': recording.others['rear']})
         result = run(config, recording.imu, recording.gnss, samples)
         # then it starts within five seconds, with a heading that is right by its sigma
         begin = (result.stamp[0] - recording.imu.stamp[0]) * 1e-9

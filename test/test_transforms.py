@@ -16,7 +16,7 @@ from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX
 from mems_ins_fusion.recordings.transforms import places
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 MOUNTING, ARM = (0.02, -0.03, 1.5), [0.9, -0.2, 1.1]
 #: where the IMU is in base_link; a plate stands between both, turned
@@ -132,7 +132,7 @@ def robot(path, seconds=300.0, sigma=0.1):
     drive = simulate_drive(seconds, 3, 50.0, standstill=20.0, hills=True, axle_to_imu=(1.0, 0.0, 0.0))
     made = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
                               GnssNoise(sigma, 2.0), [(EFFECTS['gnss_lever_arm'], dict(zip('xyz', ARM)))], MOUNTING, 3,
-                              aiding=Aiding(fix_rate=2.0, fix_sigma=sigma, velocity_rate=5.0),
+                              aiding=SimulatedAiding(fix_rate=2.0, fix_sigma=sigma, velocity_rate=5.0),
                               named=named)
     topics = {one.topic: values[one.topic] for one in named}
     write_recording(made.recording, path, inputs=named, **topics)

@@ -20,9 +20,9 @@ from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
-from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 
 def config(**values):
@@ -41,15 +41,15 @@ def test_the_turn_rate_may_count_the_other_way_or_have_a_track_that_is_not_known
     recording = drive(2)
     right = recording.others['twist']
     other = replace(right, twist=right.twist * [1, 1, turn])
-    result = run(config(), recording.imu, recording.gnss, Measured(twist=other))
+    result = run(config(), recording.imu, recording.gnss, Aiding(twist=other))
     # then its scale is found, and within its sigma; the simulator's own is 3 %
     found, sigma = result.extras[-1, -3], result.sigma[-1, -3]
     assert result.config.layout.names[-4:] == ('twist_scale', 'twist_turn_scale', 'twist_yaw', 'twist_time_offset')
-    own = run(config(), recording.imu, recording.gnss, Measured(twist=right)).extras[-1, -3]
+    own = run(config(), recording.imu, recording.gnss, Aiding(twist=right)).extras[-1, -3]
     assert found == pytest.approx((1.0 + own) * turn - 1.0, abs=4.0 * sigma) and sigma < 0.03
     assert found == pytest.approx(scale, abs=0.1 * abs(turn) + 4.0 * sigma)
     # and the gyroscope's bias is the same
-    assert result.sensor_errors[-1, 5] == pytest.approx(run(config(), recording.imu, recording.gnss, Measured(
+    assert result.sensor_errors[-1, 5] == pytest.approx(run(config(), recording.imu, recording.gnss, Aiding(
         twist=right)).sensor_errors[-1, 5], abs=3.0 * result.sigma[-1, result.config.layout.index('w_z')])
 
 
@@ -62,14 +62,14 @@ def test_what_it_does_not_measure_is_not_taken_for_zero():
     speed = largest_errors(recording, {'speed': recording.speed})
     # then that is as a wheel speed
     assert largest_errors(recording, {'twist': still}).mean() < 1.5 * speed.mean() + 1.0
-    result = run(config(), recording.imu, recording.gnss, Measured(twist=still))
+    result = run(config(), recording.imu, recording.gnss, Aiding(twist=still))
     assert result.measured.verdicts(Kind.TWIST).get(Verdict.REFUSED, 0) < 0.05 * len(right)
 
 
 def test_live_and_replay_give_the_same_bits():
     recording = drive(2)
     twist, given = recording.others['twist'], config()
-    replayed = run(given, recording.imu, recording.gnss, Measured(twist=twist))
+    replayed = run(given, recording.imu, recording.gnss, Aiding(twist=twist))
     same_bits(replayed, lived(FusionFilter(given), recording, 'twist', upto=2700), 1500)
 
 
@@ -104,9 +104,9 @@ def test_the_angle_of_an_odometry_is_found_by_filter_configure_and_checker(yaw, 
     # given a lidar's odometry that also knows the velocity sideways, in axes turned to the left by `yaw`
     made = simulate_recording(simulate_drive(240.0, 4, 50.0, standstill=20.0), SensorErrors.from_parameters(
         table.defaults(), 'gauss_markov'), GnssNoise(0.5, 2.0), [(EFFECTS['twist_yaw'], {'yaw': yaw})], seed=4,
-        aiding=Aiding(twist_rate=10.0, twist_lateral_sigma=0.05)).recording
+        aiding=SimulatedAiding(twist_rate=10.0, twist_lateral_sigma=0.05)).recording
     # when the filter knows nothing of it
-    result = run(config(), made.imu, made.gnss, Measured(twist=made.others['twist']))
+    result = run(config(), made.imu, made.gnss, Aiding(twist=made.others['twist']))
     at = result.config.layout.extras.index('twist_yaw')
     sigma = result.sigma[-1, result.config.layout.index('twist_yaw')]
     # then it is a state, as sure as it says, and the odometry is used

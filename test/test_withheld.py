@@ -12,8 +12,14 @@ from mems_ins_fusion.filter.runs.replay import run_with_outages
 from mems_ins_fusion.filter.runs.withheld import AGES, APART, FIRST, PERIOD, WEIGHT, Withheld
 from mems_ins_fusion.filter.trust.scale import Scale, learn_changes, scale
 from mems_ins_fusion.navigation.earth import radii
-from mems_ins_fusion.samples import Aiding as Measured
-from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.samples import Aiding
+from mems_ins_fusion.simulation.simulation import (
+    GnssNoise,
+    SensorErrors,
+    SimulatedAiding,
+    simulate_drive,
+    simulate_recording,
+)
 
 #: what the parameters say, where nothing else is given
 NOISE = {'accelerometer.noise_density': 1e-3, 'gyroscope.noise_density': 1e-4, 'accelerometer.random_walk.q': 1e-5,
@@ -111,10 +117,10 @@ def test_a_memory_of_few_samples_is_followed_in_time():
 @pytest.mark.parametrize('inputs', [(), ('speed',)])
 def test_the_horizon_follows_what_was_realised_and_a_replay_the_live_filter(inputs):
     # given sensors that are three times as noisy as assumed, and wheel speeds, which the copies get, or none
-    recording = drive(200.0, 3.0, aiding=Aiding(speed_rate=10.0))
+    recording = drive(200.0, 3.0, aiding=SimulatedAiding(speed_rate=10.0))
     config = configure({**NOISE, 'speed_topic': '/wheel/speed' if inputs else ''})
     imu, begin = recording.imu, recording.gnss.stamp[[50, 150]]
-    measured = Measured(speed=recording.speed) if inputs else Measured()
+    measured = Aiding(speed=recording.speed) if inputs else Aiding()
     _, outages = run_with_outages(config, imu, recording.gnss, begin, 10.0, measured)
     fusion, told = FusionFilter(config), {}
     for i in fed(fusion, recording, *inputs):

@@ -110,11 +110,11 @@ def _aiding(scene, options, values, gnss_sigma):
     """Rates and errors of the further sensors: those of the scene, all with --aiding, those with a topic in the params
     file. Further receivers are like the first."""
     from mems_ins_fusion.filter.measurements.registry import AIDING
-    from mems_ins_fusion.simulation.simulation import Aiding
+    from mems_ins_fusion.simulation.simulation import SimulatedAiding
 
     rates = {f'{m.name}_rate': options.gnss_rate if m.from_satellites else options.input_rate
              for m in AIDING if m.simulated_with and (options.aiding or values[m.topic])}
-    return Aiding(**{**(scene.aiding or {}), **rates, 'fix_rate': options.gnss_rate, 'fix_sigma': gnss_sigma})
+    return SimulatedAiding(**{**(scene.aiding or {}), **rates, 'fix_rate': options.gnss_rate, 'fix_sigma': gnss_sigma})
 
 
 def _write(simulation, options, values):

@@ -346,11 +346,11 @@ def averaged(imu: ImuSamples, rate: float) -> ImuSamples:
 def stated(fixes: Fixes, values: dict) -> np.ndarray:
     """Covariances (f, 3, 3) m^2, east-north-up, that a filter with `values` assigns to `fixes`."""
     config = FilterConfig.from_parameters(values)
-    record, _, _ = config.inputs[Kind.POSITION].records(config.gnss, fixes)
+    event, _, _ = config.inputs[Kind.POSITION].events(config.gnss, fixes)
     covariance = np.zeros((len(fixes), 3, 3))
     for (i, j), column in (((0, 0), Event.R_EE), ((0, 1), Event.R_NE), ((1, 0), Event.R_NE), ((1, 1), Event.R_NN),
                            ((2, 2), Event.R_DD)):
-        covariance[:, i, j] = record[:, column]
+        covariance[:, i, j] = event[:, column]
     return covariance
 
 
@@ -364,7 +364,7 @@ def believed(fixes: Fixes, claimed: np.ndarray, x: float, outlying: np.ndarray) 
 def _refused(of: Run, count: int) -> np.ndarray:
     """(f,) bool: whether the filter refused a fix, of `count`; none if it refused more than MOST_OUTLIERS."""
     refused = np.zeros(count, dtype=bool)
-    mine = (of.measured.kind == Kind.POSITION) & (of.measured.record[:, Event.VERDICT] == Verdict.REFUSED)
+    mine = (of.measured.kind == Kind.POSITION) & (of.measured.event[:, Event.VERDICT] == Verdict.REFUSED)
     refused[of.measured.index[mine]] = True
     return refused if refused.mean() < MOST_OUTLIERS else np.zeros(count, dtype=bool)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from mems_ins_fusion.compiled import njit
+from mems_ins_fusion.compiled_lanes import LANES, four, put
 
 from ..navigation.earth import gravity
 from . import history
@@ -36,7 +37,7 @@ from .memory import (
     state_before,
     time_of,
 )
-from .prediction import allow_for_restart, predict
+from .prediction import UNKNOWN_TILT_SIGMA, allow_for_restart, predict
 from .trust import imu_faults
 from .trust.extrapolation import Wrong
 from .trust.imu_faults import Fault, Imu
@@ -49,15 +50,9 @@ TAKEN, BEFORE_START, TOO_LATE, FORGOTTEN = 0, 1, 2, 3
 #: s. After at least this long without a valid IMU sample the sensor errors may have changed, because the IMU may have
 #: been switched off and on or its driver restarted (`allow_for_restart`). Shorter than such a restart takes
 SHORTEST_RESTART = 1.5
-#: s. For this long, faulty samples are replaced by the running mean of the valid samples before them; after that, by
-#: samples of straight motion at constant speed (`coast`). Matters where many samples are faulty: 5 % spikes for a
-#: minute give 3.1 m with it, 4.5 m without (docs/ablation.md)
-LONGEST_HELD = 0.3
 #: m/s, standard deviation that is added to the velocity where a state is not finite and is replaced by the state before
-#: it: far more than one sample can change the velocity
+#: it, as UNKNOWN_TILT_SIGMA to the attitude: far more than one sample can change the velocity
 RESTART_VELOCITY = 1.0
-#: rad (3 deg), standard deviation that is added to the attitude in the same case: more than one sample can change it
-RESTART_ATTITUDE = 0.05
 
 
 @njit(_nrt=False)
@@ -126,7 +121,7 @@ def _restore(memory, good, r, time):
     for error in range(Error.V_N, Error.SIZE):
         i = row_of(memory, error)
         if i >= 0:
-            sigma = RESTART_VELOCITY if error <= Error.V_D else RESTART_ATTITUDE
+            sigma = RESTART_VELOCITY if error <= Error.V_D else UNKNOWN_TILT_SIGMA
             memory[element_at(memory, r, i, i)] += sigma**2
     history.lose(memory, n_navigation + int(memory[Head.N_AUGMENTED]))
     memory[r + Nav.RESTARTS] += 1.0
@@ -146,11 +141,9 @@ def take_sample(memory, samples, i):
     wrong = imu_faults.is_wrong(memory, before, time)
     fault = imu_faults.check(memory, samples, i, dt, speed, wrong, before_fault)
     memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
-    memory[sample + Sample.RATE_SCATTER] = memory[Imu.SPREAD + 1]
+    memory[sample + Sample.RATE_SCATTER] = memory[Imu.RATE_SCATTER]
     if fault == Fault.NONE:
-        _condition(memory, sample, Imu.RAW)
-    elif fault != Fault.CONTRADICTED and memory[before + Nav.BRIDGED] < LONGEST_HELD:
-        _condition(memory, sample, Imu.CENTRE)
+        _condition(memory, sample)
     else:
         coast(memory, sample, before)
     if dt > memory[Head.MAX_GAP] and k > 1:  # the motion during the gap is unknown: use the mean of both ends
@@ -161,9 +154,9 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
-        memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed, sigma, bridged)
-        if imu_faults.is_stuck(memory, dt):  # a stuck accelerometer looks still although the vehicle may move
-            memory[sample + Sample.STILL] = 0.0
+        still = is_still(memory, sample, dt, speed, sigma, bridged)
+        # a stuck accelerometer looks still although the vehicle may move
+        memory[sample + Sample.STILL] = still if still != 0.0 and not imu_faults.is_stuck(memory, dt) else 0.0
     _refuse_ahead(memory, time)
     advance(memory, k)
     memory[Head.SAMPLES] = k
@@ -186,14 +179,13 @@ def _refuse_ahead(memory, time):
 
 
 @njit(_nrt=False, fastmath={'contract'}, forceinline=True)
-def _condition(memory, sample, raw):
-    """Write to `sample` the six values at `raw` (sensor axes), rotated to body axes and corrected as configured."""
-    sample, raw = nonnegative(sample), nonnegative(raw)
-    for i in range(6):
-        total = memory[Head.OFFSET + i]
+def _condition(memory, sample):
+    """Write to `sample` the latest six values (sensor axes), rotated to body axes and corrected as configured."""
+    for first in range(0, 6 - LANES + 1, 6 - LANES):  # the first four of the six, and the last four
+        total = four(memory, Head.OFFSET + first)
         for j in range(6):
-            total += memory[Head.CONDITIONING + 6 * i + j] * memory[raw + j]
-        memory[sample + Sample.F_X + i] = total
+            total = total + memory[Imu.RAW + j] * four(memory, Head.CONDITIONING + 6 * j + first)
+        put(memory, sample + Sample.F_X + first, total)
 
 
 @njit(_nrt=False)

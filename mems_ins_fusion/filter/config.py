@@ -264,7 +264,7 @@ class FilterConfig:
         return FLU_TO_FRD @ np.asarray(self.parameters['vehicle.rear_axle'], dtype=float)
 
     def of_input(self, number: int) -> np.ndarray:
-        """Columns INPUT to INPUT_END of records of the input with this number. ParameterError where it has no topic."""
+        """Columns INPUT to INPUT_END of events of the input with this number. ParameterError where it has no topic."""
         measurement, columns = self.inputs[number], np.zeros(Event.SIZE)
         if not self.settings_of(number).topic:
             raise ParameterError(f"parameter '{measurement.topic}' is empty: the filter has no {measurement.name}")
@@ -364,7 +364,7 @@ class FilterConfig:
         }
         for column, value in settings.items():
             head[column] = value
-        head[Head.CONDITIONING:Head.CONDITIONING + 36] = self.conditioning.ravel()
+        head[Head.CONDITIONING:Head.CONDITIONING + 36] = self.conditioning.T.ravel()
         head[Head.OFFSET:Head.OFFSET + 6] = self.offset
         head[Head.ROWS:Head.ROWS + Error.SIZE] = layout.rows
         head[Head.CHANNEL:Head.CHANNEL + 6] = layout.axes

@@ -66,7 +66,7 @@ def constrain(mem, r, sample):
         return
     before = hypotheses.position_and_velocity(mem, r)
     (n, h), p = begin_update(mem, r), int(mem[Head.SCRATCH_AT])
-    at = h + 6 * n  # a temporary record in the scratch
+    at = h + 6 * n  # a temporary event in the scratch
     since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
     gyroscopes.allow_for_end(mem, r, n, since)
     mem[r + Nav.USE_ALL_FIXES] = max(mem[r + Nav.USE_ALL_FIXES] - since, 0.0)
@@ -150,7 +150,7 @@ def _turns(mem, r, sample, n, rate, sigmas):
 def _constrain_motion(mem, r, at, n, h, dimensions, since):
     """Apply the components of the non-holonomic constraint one after the other, unless the vehicle violates them.
 
-    since: s since the previous application. A component is tested with the variance of its record, at any rate of the
+    since: s since the previous application. A component is tested with the variance of its event, at any rate of the
     IMU; it is applied with the variance for its interval (`_share`).
     """
     for k in range(dimensions):

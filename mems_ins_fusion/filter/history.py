@@ -35,7 +35,7 @@ def begin(mem, n):
 
 
 @njit(_nrt=False)
-def corrected(mem, n, h, column, residual, s):
+def note_correction(mem, n, h, column, residual, s):
     """Add a scalar correction. h, column: positions of the row H and of P H^T. residual: innovation minus H x. s: its
     variance."""
     t = int(mem[Head.HISTORY_AT])

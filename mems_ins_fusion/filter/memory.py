@@ -340,7 +340,7 @@ class _Head(NamedTuple):
     SIDESLIP: int = column()  # sideslip angle, rad per m/s^2 of lateral acceleration,
     SLIP_SIGMA: int = column()  # and its standard deviation, rad per m/s^2
     ANGLE_SIGMA: int = column()  # standard deviation of the direction of motion in the vehicle's axes, rad
-    CONDITIONING: int = column(36)  # 6 x 6: body-axis sample = matrix (raw sample) + offset
+    CONDITIONING: int = column(36)  # 6 x 6, by columns: body-axis sample = matrix (raw sample) + offset
     OFFSET: int = column(6)
     HISTORY_AT: int = column()  # first position of the smoother's history, see history.py; 0: none
     AXLE_ACROSS: int = column()  # index of the optional state axle_y
@@ -423,7 +423,7 @@ column = numbered()
 class _Event(NamedTuple):
     """Columns of one measurement: what was measured, and what the filter did with it.
 
-    "Record" and "event" elsewhere mean the same row. It has up to three components, which are called N, E, D whatever
+    It has up to three components, which are called N, E, D whatever
     they are; the first two may be correlated.
     """
 
@@ -537,7 +537,7 @@ def noise_size(layout: StateLayout) -> int:
 
 
 def scratch_size(n: int) -> int:
-    """Number of floats of the scratch: P (n, n), six vectors (n,), and one record."""
+    """Number of floats of the scratch: P (n, n), six vectors (n,), and one event."""
     return n * n + 6 * n + Event.SIZE
 
 

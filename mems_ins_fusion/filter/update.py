@@ -1,8 +1,8 @@
 """Correction of a state by a measurement (Eq. 6 to 8), the same for fixes, speeds, headings, constraints, standstills.
 
-A measurement fills its record and its rows of H (see `measurements`); `update` forms the innovation, applies the
+A measurement fills its event and its rows of H (see `measurements`); `update` forms the innovation, applies the
 innovation gate and the robust weight, and corrects. All functions work on the flat memory of the filter: `r` is the
-position of a state, `at` that of a record (`Event`). Called by `apply.py` (measurements) and `constraints.py` (vehicle
+position of a state, `at` that of an event (`Event`). Called by `apply.py` (measurements) and `constraints.py` (vehicle
 constraints).
 """
 from __future__ import annotations
@@ -37,12 +37,16 @@ ROBUST = 3.0
 def project(mem, n, h, column):
     """Write P H^T to `column` (n,) and return H P H^T. h: position of the row H; P is at the begin of the scratch."""
     p, h, column = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(h), nonnegative(column)
+    blocks = nonnegative(n) // LANES
     for i in range(n):
         mem[column + i] = 0.0
     for j in range(n):
         factor, row = mem[h + j], nonnegative(p + n * j)
         if factor != 0.0:
-            for i in range(n):
+            for block in range(blocks):
+                i = LANES * block
+                put(mem, column + i, four(mem, column + i) + factor * four(mem, row + i))
+            for i in range(LANES * blocks, n):
                 mem[column + i] += factor * mem[row + i]
     return product(mem, n, h, column)
 
@@ -76,7 +80,7 @@ def correct_by_scalar(mem, r, n, h, column, z, s):
         for i in range(n):
             mem[at + n * i] -= mem[column + i] * other * inverse
     if mem[Head.HISTORY_AT] > 0.0:
-        history.corrected(mem, n, h, column, residual, s)
+        history.note_correction(mem, n, h, column, residual, s)
 
 
 @njit(_nrt=False)
@@ -87,9 +91,9 @@ def normalized_square(a, b, s_nn, s_ne, s_ee):
 
 @njit(_nrt=False)
 def update(mem, r, at, n, dimensions, factor, repeated, robust, gate, robust_alone):
-    """Correct the state at r with the record at `at`, whose rows of H follow P in the scratch. Returns the `Verdict`.
+    """Correct the state at r with the event at `at`, whose rows of H follow P in the scratch. Returns the `Verdict`.
 
-    dimensions: number of components, 1 to 3. factor: multiplies the covariance R of the record. repeated: so many such
+    dimensions: number of components, 1 to 3. factor: multiplies the covariance R of the event. repeated: so many such
     measurements have the same error and together count as one. Each is tested by what it says alone; then R is
     multiplied by this. robust: for a larger normalized innovation R is raised until it has this value. gate: a larger
     normalized innovation is refused. robust or gate 0: not applied. The first two components have one normalized

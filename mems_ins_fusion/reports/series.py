@@ -126,7 +126,7 @@ def _innovations(run: Run, origin: int) -> list[Chart]:
     charts = [_innovation(f'Innovations {name}', time, of.z[:, k], TWICE * np.sqrt(of.s[:, 2 * k]))
               for k, name in enumerate(('north', 'east'))]
     given = run.measured.select(run.measured.kind == Kind.POSITION)
-    stamp, verdict, nis = given.stamp, given.record[:, Event.VERDICT], given.record[:, Event.NIS]
+    stamp, verdict, nis = given.stamp, given.event[:, Event.VERDICT], given.event[:, Event.NIS]
     order = np.argsort(stamp, kind='stable')
     lines = [Line(name, colour, np.where(which, nis, np.nan)[order], dots=True) for name, colour, which in (
         ('used', colours.AFTER, verdict != Verdict.REFUSED), ('refused', colours.BEFORE, verdict == Verdict.REFUSED))]

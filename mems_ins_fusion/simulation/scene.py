@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.simulation.drive import Drive, simulate_drive, stream
 from mems_ins_fusion.simulation.manoeuvres import CITY, MIXED, SLOW
-from mems_ins_fusion.simulation.simulation import Aiding
+from mems_ins_fusion.simulation.simulation import SimulatedAiding
 from mems_ins_fusion.simulation.vibration import Vibration
 
 MANOEUVRES = {'city': CITY, 'mixed': MIXED, 'slow': SLOW}
@@ -44,7 +44,7 @@ class Scene:
     mounting_error: float = 0.0
     axle_to_imu: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rotating_earth: bool = False
-    aiding: Aiding | None = None
+    aiding: SimulatedAiding | None = None
     imu: dict = field(default_factory=dict)
 
     def drive(self, duration: float, seed: int = 0, rate: float = 100.0, **options) -> Drive:
@@ -69,7 +69,7 @@ FLAT = Scene()
 REALISTIC = Scene(
     grade=0.03, bank=0.02, parked_on_slope=True, manoeuvres='mixed', body=True, unevenness=math.radians(0.15),
     vibration=0.1, mounting_error=math.radians(5.0), axle_to_imu=(1.2, 0.3, 0.5), rotating_earth=True,
-    aiding=Aiding(speed_rate=10.0, velocity_rate=1.0, heading_rate=1.0),
+    aiding=SimulatedAiding(speed_rate=10.0, velocity_rate=1.0, heading_rate=1.0),
     imu={  # angle random walk 0.2 deg/sqrt(h), 30 deg/h; velocity random walk 0.1 m/s/sqrt(h), 7 mg
         'gyroscope.noise_density': [math.radians(0.2) / 60], 'gyroscope.gauss_markov.sigma': [math.radians(30) / 3600],
         'gyroscope.gauss_markov.tau': [300.0], 'gyroscope.initial_sigma': [math.radians(0.1)],

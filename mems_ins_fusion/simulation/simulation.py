@@ -25,7 +25,7 @@ from mems_ins_fusion.simulation.drive import START_STAMP, Drive, simulate_drive,
 from mems_ins_fusion.simulation.receiver import GnssNoise
 from mems_ins_fusion.simulation.vibration import Vibration
 
-__all__ = ['Aiding', 'GnssNoise', 'SensorErrors', 'Simulation', 'Vibration', 'simulate_drive',
+__all__ = ['SimulatedAiding', 'GnssNoise', 'SensorErrors', 'Simulation', 'Vibration', 'simulate_drive',
            'simulate_recording']
 
 _FLIP = FLU_TO_FRD.diagonal()  # its own inverse
@@ -71,7 +71,7 @@ class SensorErrors:
         return cls(**per_sensor)
 
 
-class Aiding(dict):
+class SimulatedAiding(dict):
     """Rates, Hz, and errors of further sensors, by the names in `Measurement.simulated_with`. A rate of 0: the sensor
     is not simulated."""
 
@@ -101,7 +101,7 @@ class Simulation:
 def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: GnssNoise | None = None,
                        effects: Sequence[tuple[Effect, dict[str, float]]] = (), mounting_rpy=(0.0, 0.0, 0.0),
                        seed: int = 0, name: str = 'simulation', vibration: Vibration | None = None,
-                       aiding: Aiding | None = None, named: Sequence[Measurement] = ()) -> Simulation:
+                       aiding: SimulatedAiding | None = None, named: Sequence[Measurement] = ()) -> Simulation:
     """Simulate the recording of sensors in `drive`.
 
     sensors, gnss: perfect sensors and the default receiver where None. effects: in the order in which they act, each
@@ -184,7 +184,7 @@ def _fixes(drive, gnss, effects, seed) -> Fixes:
 
 def _aided(drive, aiding, effects, seed, named, to_sensor) -> dict:
     """The samples of the further sensors, by name."""
-    errors = {**Aiding(), **(aiding or {})}
+    errors = {**SimulatedAiding(), **(aiding or {})}
     wanted = [measurement for measurement in AIDING if errors[f'{measurement.name}_rate']]
     said = {}
     for measurement in (*wanted, *named):

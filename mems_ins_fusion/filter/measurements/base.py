@@ -157,8 +157,8 @@ class Measurement:
         """`samples` converted by the settings (units, sign, known constant error)."""
         return samples
 
-    def records(self, settings: SensorSettings, samples) -> tuple[np.ndarray, dict[int, str], dict[int, str]]:
-        """Records (n, Event.SIZE) of `samples`; for samples that cannot be used, the reason by index; and warnings by
+    def events(self, settings: SensorSettings, samples) -> tuple[np.ndarray, dict[int, str], dict[int, str]]:
+        """Events (n, Event.SIZE) of `samples`; for samples that cannot be used, the reason by index; and warnings by
         index."""
         raise NotImplementedError
 

@@ -75,7 +75,7 @@ def add(mem, h, error, value):
 
 @njit(_nrt=False)
 def arm_of(mem, at):
-    """Lever arm from the IMU to the point of measurement of the record at `at`, body axes, m."""
+    """Lever arm from the IMU to the point of measurement of the event at `at`, body axes, m."""
     return mem[at + Event.ARM], mem[at + Event.ARM + 1], mem[at + Event.ARM + 2]
 
 

@@ -13,9 +13,9 @@ from ...parameters.parameter import Parameter
 from ...samples import Headings
 from ..memory import NAV, Error, Event, Head, Kind
 from .base import IMU, NOT_THERE, POSE, Measurement
+from .events import empty, refuse, stated_or
 from .geometry import add, angular_rate
 from .low_pass import unfollowed
-from .records import empty, refuse, stated_or
 from .time_offset import add_time_offset
 
 
@@ -73,7 +73,7 @@ class Heading(Measurement):
     def declared(self, settings, headings):
         return replace(headings, yaw=headings.yaw - settings.offset)
 
-    def records(self, settings, headings):
+    def events(self, settings, headings):
         headings = self.declared(settings, headings)
         n = len(headings)
         r, reasons = empty(Kind.HEADING, n), {}

@@ -4,7 +4,7 @@ What comes out of a first-order low pass of the time constant tau, 1 / (1 + tau 
 that follows the changes and decays: in an interval T in which it changes by D, from u to u exp(-T / tau) + D tau / T
 (1 - exp(-T / tau)). The changes are those that the inertial sensors show from one message of the input to the next,
 without what the messages correct. At a constant acceleration it is tau times that: the part of the time offset that
-the low pass makes, so the record is of the time of the stamp less the rest (`FilterConfig.time_offset_of`).
+the low pass makes, so the event is of the time of the stamp less the rest (`FilterConfig.time_offset_of`).
 """
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FOLLOWED_AFTER = 5.0
 
 @njit(_nrt=False)
 def unfollowed(mem, r, at, now):
-    """By how much the record at `at` is behind `now`, the forward speed of the state at r, m/s, or its heading, rad: as
+    """By how much the event at `at` is behind `now`, the forward speed of the state at r, m/s, or its heading, rad: as
     far as its low pass has not followed yet."""
     change = now - mem[seen_of(mem, r, at) + Seen.LEFT]
     if mem[at + Event.KIND] == Kind.HEADING:

@@ -24,8 +24,8 @@ from ...parameters.parameter import Parameter
 from ...samples import MagneticFields
 from ..memory import NAV, Error, Event, Kind
 from .base import Measurement, SensorSettings
+from .events import empty, refuse, stated_or
 from .geometry import add, angular_rate
-from .records import empty, refuse, stated_or
 from .time_offset import add_time_offset
 
 #: names of the states, after that of the input: hard iron forward and to the right; strength of the horizontal field
@@ -36,7 +36,7 @@ STATES = 'hard_x', 'hard_y', 'strength', 'stretch', 'skew', 'declination'
 
 @njit(_nrt=False)
 def _levelled(mem, r, at, c):
-    """The field of the record at `at` without the hard iron, levelled: forward, right, down; and the forward and right
+    """The field of the event at `at` without the hard iron, levelled: forward, right, down; and the forward and right
     components of the body's first two axes in those axes."""
     norm = math.hypot(c[0], c[3])
     cos, sin = c[0] / norm, c[3] / norm
@@ -95,7 +95,7 @@ def observe(mem, r, at, h, n, c, sample):
 
 @njit(_nrt=False)
 def heading(mem, r, at, c):
-    """Heading from the field of the record at `at` with the iron estimated at r, rad."""
+    """Heading from the field of the event at `at` with the iron estimated at r, rad."""
     x = r + NAV + int(mem[at + Event.STATE])
     strength, stretch, skew = 1.0 + mem[x + 2], mem[x + 3], mem[x + 4]
     f_x, f_y, _, _, _, _, _ = _levelled(mem, r, at, c)
@@ -185,7 +185,7 @@ class Magnetometer(Measurement):
         return replace(fields, field=settings.factor * fields.field - np.asarray(settings.hard_iron),
                        variance=settings.factor**2 * fields.variance)
 
-    def records(self, settings, fields):
+    def events(self, settings, fields):
         n, size = len(fields), np.linalg.norm(settings.factor * fields.field, axis=1)
         fields = self.declared(settings, fields)
         r, reasons = empty(Kind.MAGNETIC, n), {}

@@ -18,7 +18,7 @@ LONGEST = 1.0
 
 
 class Pose(Twist):
-    """Named inputs only. Its records are those of a named `Twist`, so it has no kind of its own."""
+    """Named inputs only. Its events are those of a named `Twist`, so it has no kind of its own."""
 
     name, samples, of_two = 'pose', Displacements, True
     topic_text = ('Topic of the poses of a lidar or a camera in a frame of their own, of base_link: nav_msgs/Odometry '

@@ -14,8 +14,8 @@ from ...samples import Fixes
 from ..memory import Error, Event, Head, Kind, Nav, row_of
 from ..trust.lag import behind
 from .base import GPS_FIX, NAV_SAT_FIX, Measurement
+from .events import empty, refuse
 from .geometry import add, add_attitude_error, arm_of, rotate
-from .records import empty, refuse
 from .time_offset import add_time_offset
 
 #: m, standard deviation of a pseudorange: multiplied by the dilution of precision where a message states no other
@@ -38,7 +38,7 @@ HIGHEST = 10000.0  # m above the ellipsoid, and its largest
 def _antenna_minus_fix(mem, r, at, north, east, down):
     """Predicted minus measured position of the antenna: north, east, down, m.
 
-    north, east, down: m, from the IMU to the antenna. at: position of the record with the measured position.
+    north, east, down: m, from the IMU to the antenna. at: position of the event with the measured position.
     """
     return ((mem[r + Nav.LATITUDE] - mem[at + Event.LATITUDE]) / mem[r + Nav.NORTH_SCALE] + north,
             (mem[r + Nav.LONGITUDE] - mem[at + Event.LONGITUDE]) / mem[r + Nav.EAST_SCALE] + east,
@@ -107,16 +107,16 @@ def is_fix(fixes) -> np.ndarray:
 
 
 @njit(_nrt=False)
-def _judge(records, covariance, kinds, sigma, default_sigma, usable, stated):
-    """Write the variances of fixes to their records. Returns whether any of them has no position or no covariance.
+def _judge(events, covariance, kinds, sigma, default_sigma, usable, stated):
+    """Write the variances of fixes to their events. Returns whether any of them has no position or no covariance.
 
-    records (n, Event.SIZE): with position and status. covariance (n, 3, 3), kinds (n,): covariances in the messages,
+    events (n, Event.SIZE): with position and status. covariance (n, 3, 3), kinds (n,): covariances in the messages,
     and their types. sigma, default_sigma: parameters, m. usable (n,), output: whether each fix has a position. stated
     (n,), output: whether its covariance is valid.
     """
     smallest, default, say = SMALLEST_SIGMA**2, default_sigma**2, False
-    for i in range(len(records)):
-        r, ee, en = records[i], covariance[i, 0, 0], covariance[i, 0, 1]
+    for i in range(len(events)):
+        r, ee, en = events[i], covariance[i, 0, 0], covariance[i, 0, 1]
         nn, uu = covariance[i, 1, 1], covariance[i, 2, 2]
         usable[i] = is_position(r[Event.LATITUDE], r[Event.LONGITUDE], r[Event.HEIGHT], r[Event.STATUS])
         stated[i] = (math.isfinite(ee) and math.isfinite(en) and math.isfinite(nn) and math.isfinite(uu)
@@ -208,8 +208,8 @@ class Fix(Measurement):
     def off(self, measured, innovation):
         return f'fix {math.hypot(*innovation):.1f} m off'
 
-    def records(self, settings, fixes):
-        """As `Measurement.records`, with a warning for each fix whose covariance is not usable."""
+    def events(self, settings, fixes):
+        """As `Measurement.events`, with a warning for each fix whose covariance is not usable."""
         n = len(fixes)
         r, reasons, warnings = empty(Kind.POSITION if self.is_plain else Kind.PLACE, n), {}, {}
         r[:, Event.LATITUDE], r[:, Event.LONGITUDE], r[:, Event.HEIGHT] = fixes.latitude, fixes.longitude, fixes.height

@@ -21,8 +21,8 @@ from ...samples import Pressures
 from ..memory import NAV, Error, Event, Head, Kind, Nav, velocity_variance
 from ..trust.scale import Scale, seen_of
 from .base import Measurement
+from .events import empty, refuse, stated_or
 from .geometry import add
-from .records import empty, refuse, stated_or
 from .time_offset import add_time_offset
 
 #: s for which an error of the velocity lasts: all pressures of that time tell no more than one of what it makes of them
@@ -31,7 +31,7 @@ LASTING = 10.0
 
 @njit(_nrt=False)
 def _add_second_order(mem, r, at, share, state):
-    """Set R of the record at `at` to the variance of the pressure and what H leaves out: the product of the errors of
+    """Set R of the event at `at` to the variance of the pressure and what H leaves out: the product of the errors of
     share and velocity, and the square of that of the velocity. state: index of the share; P is in the scratch."""
     n = int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
     unknown = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * state]
@@ -118,7 +118,7 @@ class Pressure(Measurement):
         return replace(pressures, pressure=settings.factor * pressures.pressure,
                        variance=settings.factor**2 * pressures.variance)
 
-    def records(self, settings, pressures):
+    def events(self, settings, pressures):
         pressures = self.declared(settings, pressures)
         n, pressure = len(pressures), pressures.pressure
         r, reasons = empty(Kind.PRESSURE, n), {}

@@ -11,9 +11,9 @@ from ...parameters.parameter import Parameter
 from ...samples import Speeds
 from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, covariance36
+from .events import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
 from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, vehicle_to_level
 from .low_pass import unfollowed
-from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
 from .time_offset import acceleration, add_time_offset
 
 
@@ -73,7 +73,7 @@ class Speed(Measurement):
         return replace(speeds, speed=settings.factor * speeds.speed / (1.0 + settings.offset),
                        variance=settings.factor**2 * speeds.variance)
 
-    def records(self, settings, speeds):
+    def events(self, settings, speeds):
         speeds = self.declared(settings, speeds)
         n, speed = len(speeds), speeds.speed
         r, reasons = empty(Kind.SPEED, n), {}

@@ -36,8 +36,8 @@ def acceleration(mem, r):
 
 @njit(_nrt=False)
 def add_time_offset(mem, at, h, rate):
-    """Set the column of the time offset of the record at `at` in the row of H at `h`. rate: time derivative of the
-    measured quantity. A positive offset means that the record describes the vehicle before the time of its stamp."""
+    """Set the column of the time offset of the event at `at` in the row of H at `h`. rate: time derivative of the
+    measured quantity. A positive offset means that the event describes the vehicle before the time of its stamp."""
     state = int(mem[at + Event.TIME_OFFSET])
     if state > 0:
         mem[h + state] = rate

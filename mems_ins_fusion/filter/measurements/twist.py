@@ -16,9 +16,9 @@ from ...parameters.parameter import Parameter
 from ...samples import Twists
 from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, SensorSettings, covariance36
+from .events import FASTEST, SMALLEST_SPEED_SIGMA, STEP, empty, refuse, stated_or, velocity_at
 from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, vehicle_to_level
 from .low_pass import unfollowed, unfollowed_turn
-from .records import FASTEST, SMALLEST_SPEED_SIGMA, STEP, empty, refuse, stated_or, velocity_at
 from .time_offset import acceleration, add_time_offset
 
 
@@ -26,7 +26,7 @@ from .time_offset import acceleration, add_time_offset
 def observe(mem, r, at, h, n, c, sample):
     """Velocity forward and to the right, and turn rate clockwise; three components. measured = (1 + scale) true.
 
-    A component that was not measured (NaN in the record) has a row of zeros in H.
+    A component that was not measured (NaN in the event) has a row of zeros in H.
     """
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     x, y, z = arm_of(mem, at)
@@ -64,7 +64,7 @@ def observe(mem, r, at, h, n, c, sample):
 
 @njit(_nrt=False)
 def measures_sideways(mem, at):
-    """Whether the record at `at` has a velocity to the right."""
+    """Whether the event at `at` has a velocity to the right."""
     return not math.isnan(mem[at + Event.VALUE + 1])
 
 
@@ -132,7 +132,7 @@ class Twist(Measurement):
         factor = np.array([settings.factor, settings.factor, 1.0])
         return turned(replace(twists, twist=factor * twists.twist, variance=factor**2 * twists.variance), -settings.yaw)
 
-    def records(self, settings, twists):
+    def events(self, settings, twists):
         twists = self.declared(settings, twists)
         n, twist = len(twists), twists.twist.copy()
         r, reasons = empty(Kind.TWIST, n), {}

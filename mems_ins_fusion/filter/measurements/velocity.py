@@ -11,14 +11,14 @@ from ...navigation.frames import ned_covariance_from_enu, ned_from_enu
 from ...samples import Velocities
 from ..memory import Error, Event, Kind, Nav, row_of
 from .base import TWIST, Measurement, covariance36
+from .events import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
 from .geometry import add, add_attitude_error, angular_rate, arm_of, rotate
-from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
 from .time_offset import acceleration, add_time_offset
 
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c, sample):
-    """Velocity of the antenna. Returns the number of components: two where the record's vertical one is NaN."""
+    """Velocity of the antenna. Returns the number of components: two where the event's vertical one is NaN."""
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     x, y, z = arm_of(mem, at)
     north, east, down = rotate(c, w_y * z - w_z * y, w_z * x - w_x * z, w_x * y - w_y * x)  # w x arm
@@ -46,7 +46,7 @@ class Velocity(Measurement):
     #: m/s, white noise north and east; 1.5 times that down
     simulated_with = {'velocity_rate': 0.0, 'velocity_sigma': 0.1}
 
-    def records(self, settings, velocities):
+    def events(self, settings, velocities):
         n, v = len(velocities), velocities.velocity.copy()
         r, reasons = empty(Kind.VELOCITY, n), {}
         with np.errstate(over='ignore', invalid='ignore'):

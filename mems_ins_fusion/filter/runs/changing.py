@@ -64,8 +64,8 @@ _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 
 
 @dataclass(frozen=True)
 class Handover:
-    """Record of a change to another filter. stamp: ns. position, yaw: difference of the estimates, m and rad; the
-    published estimate changes by it within `blending.BLENDING`."""
+    """A change to another filter. stamp: ns. position, yaw: difference of the estimates, m and rad; the published
+    estimate changes by it within `blending.BLENDING`."""
 
     stamp: int
     position: float
@@ -123,11 +123,11 @@ class WatchedFilter(FusionFilter):
         self._numbers[self._ids] = number
         FusionFilter.add_fix(self, *fix)
 
-    def _fix_judged(self, used: bool, stamp: int, record) -> None:
-        super()._fix_judged(used, stamp, record)
-        number = self._numbers.pop(int(record[Event.ID]), None)
-        if number is not None and record[Event.NIS] > 0.0:  # a refusal without an innovation has none
-            self.misfits[number] = float(record[Event.Z_N]), float(record[Event.Z_N + 1])
+    def _fix_judged(self, used: bool, stamp: int, event) -> None:
+        super()._fix_judged(used, stamp, event)
+        number = self._numbers.pop(int(event[Event.ID]), None)
+        if number is not None and event[Event.NIS] > 0.0:  # a refusal without an innovation has none
+            self.misfits[number] = float(event[Event.Z_N]), float(event[Event.Z_N + 1])
             self.misfits.pop(number - KEPT, None)
 
 

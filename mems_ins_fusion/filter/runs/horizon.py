@@ -101,9 +101,9 @@ def _mean_over_used(memory: np.ndarray, at: int) -> float:
 
 
 def _wheel_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
-    """Record of the newest wheel speed, and the mean interval between wheel speeds, s; 0: there are none."""
-    records = views(memory)[-1][:int(memory[Head.EVENTS])]
-    speeds = records[records[:, Event.KIND] == Kind.SPEED]
+    """Event of the newest wheel speed, and the mean interval between wheel speeds, s; 0: there are none."""
+    events = views(memory)[-1][:int(memory[Head.EVENTS])]
+    speeds = events[events[:, Event.KIND] == Kind.SPEED]
     time = speeds[:, Event.TIME]
     if len(speeds) < 2 or now - time[-1] > SPEED_PATIENCE:
         return np.zeros(Event.SIZE), 0.0
@@ -115,7 +115,7 @@ def _predict(mem, limit, wanted, interval, exceeded, north, east, left, realised
     """Seconds and metres until the error exceeds `limit`, m, with a probability above `exceeded`.
 
     mem: as `HorizonPredictor` makes it. wanted: m/s, lowest speed to accelerate to. interval: s between wheel speeds,
-    whose record is in the memory; 0: none. north, east: m, added to the estimate; they fall to zero within `left` s.
+    whose event is in the memory; 0: none. north, east: m, added to the estimate; they fall to zero within `left` s.
     realised: factor on the covariance.
     """
     first, width, sample = nonnegative(state_at(mem, 0)), int(mem[Head.WIDTH]), nonnegative(sample_at(mem, 0))

@@ -69,21 +69,21 @@ def follow(state, stamp, values, restart_gap, step_back, codes):
 
 
 @njit(_nrt=False)
-def check_stamps(records, stamp, newest, last, late, epoch, latest, most_ahead, codes):
-    """Check the stamps of measurements and write their times to the records. Returns the last valid stamp, ns, and how
+def check_stamps(events, stamp, newest, last, late, epoch, latest, most_ahead, codes):
+    """Check the stamps of measurements and write their times to the events. Returns the last valid stamp, ns, and how
     many measurements are not valid.
 
-    records (n, Event.SIZE). stamp (n,) ns. newest (n,): ns, stamp of the last IMU sample before each. last: ns, last
+    events (n, Event.SIZE). stamp (n,) ns. newest (n,): ns, stamp of the last IMU sample before each. last: ns, last
     valid stamp before these; -1: none. late: ns, time offset of the stamps. epoch: ns. latest, most_ahead: s by which a
     measurement may be older and newer than the newest sample. codes (n,), input and output: 0 for a valid measurement.
     """
     flagged = 0
-    for i in range(len(records)):
+    for i in range(len(events)):
         if codes[i] == 0 and stamp[i] == last:
             codes[i] = TWIN
         elif codes[i] == 0:
             last = stamp[i]
-            records[i, Event.TIME] = (stamp[i] - late - epoch) * 1e-9
+            events[i, Event.TIME] = (stamp[i] - late - epoch) * 1e-9
             ahead = (stamp[i] - late - newest[i]) * 1e-9
             if ahead > most_ahead:
                 codes[i] = STAMPED_AHEAD
@@ -154,26 +154,26 @@ class Intake:
         return self.config.inputs[kind].name
 
     def measured(self, kind: int, samples, newest: np.ndarray, epoch: int) -> tuple[np.ndarray, np.ndarray]:
-        """Valid measurements among `samples` of one input, in the order of arrival: their indices and records.
+        """Valid measurements among `samples` of one input, in the order of arrival: their indices and events.
 
         kind: number of the input. newest (n,): ns, stamp of the last IMU sample before each. epoch: ns, time zero of
         the filter.
         """
         measurement, settings, offset = self.config.inputs[kind], self.config.settings_of(kind), self._offsets[kind]
-        records, reasons, warnings = measurement.records(settings, samples)
-        codes, late = np.zeros(len(records), dtype=np.int64), round(offset * 1e9)
+        events, reasons, warnings = measurement.events(settings, samples)
+        codes, late = np.zeros(len(events), dtype=np.int64), round(offset * 1e9)
         for i in reasons:
             codes[i] = NO_MEASUREMENT
         stamp = np.array(samples.stamp, dtype=np.int64)
-        self._last[kind], flagged = check_stamps(records, stamp, newest, self._last[kind], late, epoch, self._latest,
+        self._last[kind], flagged = check_stamps(events, stamp, newest, self._last[kind], late, epoch, self._latest,
                                                  LATEST + max(-offset, 0.0), codes)
-        used = np.arange(len(records))
+        used = np.arange(len(events))
         if flagged or warnings:
             self._explain(kind, codes, stamp, newest, late, reasons, warnings)
             used = np.flatnonzero(codes == 0)
-            records = records[used]
-        records[:, Event.INPUT:Event.INPUT_END] = self._of_input(kind)
-        return used, records
+            events = events[used]
+        events[:, Event.INPUT:Event.INPUT_END] = self._of_input(kind)
+        return used, events
 
     def _explain(self, kind: int, codes, stamp, newest, late: int, reasons: dict, warnings: dict) -> None:
         """Report each measurement that is not used, or has a warning."""
@@ -222,8 +222,8 @@ def first_datum(config: FilterConfig, imu: ImuSamples, fixes: Fixes) -> np.ndarr
     order = np.argsort(fixes.received, kind='stable')
     arrival = np.searchsorted(imu.received, fixes.received[order], side='right')
     there = arrival > 0
-    _, records = Intake(config).measured(Kind.POSITION, fixes.select(order[there]), imu.stamp[arrival[there] - 1], 0)
-    found = records[:DATUM_FIXES, [Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]]
+    _, events = Intake(config).measured(Kind.POSITION, fixes.select(order[there]), imu.stamp[arrival[there] - 1], 0)
+    found = events[:DATUM_FIXES, [Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]]
     return first_place(found.tolist()) if len(found) else None
 
 

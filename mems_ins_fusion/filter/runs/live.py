@@ -107,7 +107,7 @@ class FusionFilter(FilterStatus):
         self._last_gap, self.gaps = 0.0, 0
         self._last_fault = self._last_recovery = -math.inf
         self._fault = ''
-        self._recent: deque[list[float]] = deque(maxlen=ADRIFT)  # records of fixes
+        self._recent: deque[list[float]] = deque(maxlen=ADRIFT)  # events of fixes
         self._next_look = 0  # ns: time of the next check whether the vehicle contradicts the parameters
         self._said: list[str] = []  # messages of the last check
         self._said_mounting = False
@@ -229,23 +229,23 @@ class FusionFilter(FilterStatus):
         stamp = int(samples.stamp[0])
         if self._epoch is None:  # no IMU sample yet
             return
-        used, records = self.measured(kind, samples, self._follow[:1], self._epoch)
+        used, events = self.measured(kind, samples, self._follow[:1], self._epoch)
         tally = self.tallies[self.name(kind)]
         if not len(used):
             tally.refuse(stamp, self.refusal)
             return
-        record = records[0]
-        stamp = self._epoch + round(float(record[Event.TIME]) * 1e9)  # float: numpy rounds ten times slower
+        event = events[0]
+        stamp = self._epoch + round(float(event[Event.TIME]) * 1e9)  # float: numpy rounds ten times slower
         if kind == Kind.POSITION:
-            self._height_sigma = math.sqrt(record[Event.R_DD])
+            self._height_sigma = math.sqrt(event[Event.R_DD])
             if self.datum is None:
-                self._first_places.append(record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]].tolist())
+                self._first_places.append(event[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]].tolist())
                 self.datum = first_place(self._first_places) if len(self._first_places) == DATUM_FIXES else None
         if self._memory is None:
-            if record[Event.KIND] in (Kind.MAGNETIC, Kind.PLACE):
-                self._alignment.add_input(record)
+            if event[Event.KIND] in (Kind.MAGNETIC, Kind.PLACE):
+                self._alignment.add_input(event)
             elif kind == Kind.POSITION:
-                start = self._alignment.add_record(record, self.say)
+                start = self._alignment.add_event(event, self.say)
                 if start is not None:
                     self._begin(start, stamp)
                 else:
@@ -253,12 +253,12 @@ class FusionFilter(FilterStatus):
                     self._provisional = None if self._without_heading is None else self._started(self._without_heading)
             return
         if kind == Kind.POSITION and self._alignment.is_watching and (
-                self._alignment.takes_back_the_start(record, self.say)):
+                self._alignment.takes_back_the_start(event, self.say)):
             self._begin_again()
             return
-        record[Event.ID] = self._ids
+        event[Event.ID] = self._ids
         self._ids += 1
-        answer = self._filter(self._memory, self._sample[:0], records, self._before)
+        answer = self._filter(self._memory, self._sample[:0], events, self._before)
         if answer != TAKEN:
             self.say_not_taken(kind, answer, stamp, self._now)
             tally.refuse(stamp, 'too late')
@@ -342,28 +342,28 @@ class FusionFilter(FilterStatus):
             if at < 0:  # the memory has dropped it: too many measurements wait for IMU samples
                 del self._pending[identity]
                 continue
-            record = self._memory[at:at + Event.SIZE].tolist()
-            verdict = int(record[Event.VERDICT])
+            event = self._memory[at:at + Event.SIZE].tolist()
+            verdict = int(event[Event.VERDICT])
             if verdict == Verdict.PENDING:
                 continue
             del self._pending[identity]
             used = verdict in (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED)
             measurement = self.config.inputs[kind]
-            self._judged.append(Judgement(stamp, measurement.name, used, record[Event.WEIGHT], VERDICTS[verdict],
-                                          tuple(record[Event.Z_N:Event.Z_N + measurement.components]),
-                                          record[Event.NIS]))
-            tally, misfit = self.tallies[measurement.name], record[Event.NIS] / measurement.components
+            self._judged.append(Judgement(stamp, measurement.name, used, event[Event.WEIGHT], VERDICTS[verdict],
+                                          tuple(event[Event.Z_N:Event.Z_N + measurement.components]),
+                                          event[Event.NIS]))
+            tally, misfit = self.tallies[measurement.name], event[Event.NIS] / measurement.components
             if used:
                 tally.use(misfit)
             elif verdict != Verdict.AWAITED:  # this verdict is usual at the beginning of a drive
                 tally.refuse(stamp, VERDICTS[verdict], misfit if verdict == Verdict.REFUSED else math.nan)
-                self.say('warning', f'{self.topic(kind)}: {self._refusal(kind, verdict, stamp, record)}')
+                self.say('warning', f'{self.topic(kind)}: {self._refusal(kind, verdict, stamp, event)}')
             if kind == Kind.POSITION:
-                self._fix_judged(used, stamp, record)
+                self._fix_judged(used, stamp, event)
 
-    def _fix_judged(self, used: bool, stamp: int, record) -> None:
+    def _fix_judged(self, used: bool, stamp: int, event) -> None:
         topic = self.config.gnss.topic
-        self._recent.append(record)
+        self._recent.append(event)
         if stamp >= self._next_look:
             said = vehicle_warnings(self._memory, self.config, np.array(self._recent))
             self._next_look = stamp + (_MESSAGE_PERIOD if said else _CHECK_PERIOD)

@@ -29,7 +29,7 @@ def published(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aidin
 
 
 class _Waiting(Alignment):
-    """An alignment that records each provisional start and the number of samples before it."""
+    """An alignment that notes each provisional start and the number of samples before it."""
 
     def __init__(self, config: FilterConfig):
         super().__init__(config)
@@ -40,8 +40,8 @@ class _Waiting(Alignment):
         super().add_samples(samples, orientation)
         self.fed += len(samples)
 
-    def add_record(self, record, say):
-        start = super().add_record(record, say)
+    def add_event(self, event, say):
+        start = super().add_event(event, say)
         self.found.append((self.fed, None if start else self.provisional()))
         return start
 
@@ -60,7 +60,7 @@ class _Publishing(Replay):
     def _events(self, kept: np.ndarray, end: int, epoch: int) -> Events:
         events = super()._events(kept, end, epoch)
         fixes = events.select(events.kind == Kind.POSITION)
-        self._heights = fixes.arrival, np.sqrt(fixes.record[:, Event.R_DD])
+        self._heights = fixes.arrival, np.sqrt(fixes.event[:, Event.R_DD])
         self._length = len(kept)
         return events
 
@@ -84,7 +84,7 @@ class _Publishing(Replay):
         return start, first
 
     def _filter(self, memory, samples, index, events: Events, epoch: int) -> None:
-        events.record[:, Event.ID] = np.arange(len(events.kind))
+        events.event[:, Event.ID] = np.arange(len(events.kind))
         first = self._length - len(index)  # the start describes the time of its fix, but the fix arrived later
         self._ask(memory, samples, index, events, first, max(self._aligned - first, 0)).finish(memory)
         self.height_sigma = np.append(self._heights[1], self.height_sigma)[len(self._heights[0]) - 1]

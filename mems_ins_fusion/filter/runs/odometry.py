@@ -43,7 +43,7 @@ def estimated(row, r, rows, error):
 
 
 @njit
-def corrected(row, r, rows, open_loop):
+def navigation_solution(row, r, rows, open_loop):
     """Latitude, longitude (rad), height (m), v_n, v_e, v_d (m/s) and the quaternion from b to n of the state at r.
 
     In open loop the estimated errors x are subtracted. rows (9,): `StateLayout.rows`.
@@ -127,7 +127,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     for k in range(full, full + n * n):
         memory[k] *= factor
     add_to_covariance(memory, full, n, velocity_state(memory), memory, r)
-    latitude, longitude, height, v_n, v_e, v_d, q = corrected(
+    latitude, longitude, height, v_n, v_e, v_d, q = navigation_solution(
         memory, r, memory[Head.ROWS:Head.ROWS + Error.SIZE], memory[Head.OPEN_LOOP] != 0.0)
     geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
     north, east, down = to_local(latitude, longitude, height, datum)

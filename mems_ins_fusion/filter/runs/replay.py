@@ -189,10 +189,10 @@ class Replay(Intake):
         for i in np.flatnonzero(events.answer != TAKEN):
             last = max(events.arrival[i] + skip - 1, 0)
             self.say_not_taken(int(events.kind[i]), int(events.answer[i]),
-                               epoch + round(events.record[i, Event.TIME] * 1e9), int(self.imu.stamp[kept[last]]))
-        judged = events.record[:, Event.VERDICT] != Verdict.PENDING
-        stamp = epoch + np.rint(events.record[:, Event.TIME] * 1e9).astype(np.int64)
-        self.measurements.append(MeasurementLog(events.kind, events.index, stamp, events.record).select(judged))
+                               epoch + round(events.event[i, Event.TIME] * 1e9), int(self.imu.stamp[kept[last]]))
+        judged = events.event[:, Event.VERDICT] != Verdict.PENDING
+        stamp = epoch + np.rint(events.event[:, Event.TIME] * 1e9).astype(np.int64)
+        self.measurements.append(MeasurementLog(events.kind, events.index, stamp, events.event).select(judged))
 
     def _memory(self) -> np.ndarray:
         return self.config.memory()
@@ -205,13 +205,13 @@ class Replay(Intake):
             self._last[kind] = -1
             mine = np.flatnonzero((arrival > kept[0]) & (arrival <= end))
             before = np.searchsorted(kept, arrival[mine])  # number of samples of this stretch before each
-            used, records = self.measured(kind, self.inputs[kind].select(mine), self.imu.stamp[kept[before - 1]], epoch)
+            used, events = self.measured(kind, self.inputs[kind].select(mine), self.imu.stamp[kept[before - 1]], epoch)
             parts.append((np.full(len(used), kind), mine[used], before[used], self.inputs[kind].received[mine[used]],
-                          records))
-        kind, index, arrival, received, record = (np.concatenate(column) for column in zip(*parts))
+                          events))
+        kind, index, arrival, received, event = (np.concatenate(column) for column in zip(*parts))
         order = np.lexsort((received, arrival))
-        record = np.ascontiguousarray(record[order])
-        return Events(kind[order], index[order], arrival[order].astype(np.int64), record,
+        event = np.ascontiguousarray(event[order])
+        return Events(kind[order], index[order], arrival[order].astype(np.int64), event,
                        np.zeros(len(order), dtype=np.int64))
 
     def _align(self, kept, samples, events: Events, saved: SavedState | None) -> tuple[Start | None, int]:
@@ -220,23 +220,23 @@ class Replay(Intake):
         fixes = np.flatnonzero(events.kind == Kind.POSITION)
         if self.given is not None and self.start is None:
             start = remeasured(self.given, self.config, samples)
-            first = int(np.searchsorted(events.record[fixes, Event.TIME], start.time + 1e-6, side='right'))
+            first = int(np.searchsorted(events.event[fixes, Event.TIME], start.time + 1e-6, side='right'))
             return start, int(fixes[first]) if first < len(fixes) else len(events.kind)
         alignment, fed, found, after = self._alignment(), 0, None, len(events.kind)
         if saved is not None:
             alignment.use_saved(saved)
         for i in np.flatnonzero((events.kind == Kind.POSITION)
-                                | np.isin(events.record[:, Event.KIND], (Kind.MAGNETIC, Kind.PLACE))):
+                                | np.isin(events.event[:, Event.KIND], (Kind.MAGNETIC, Kind.PLACE))):
             if events.kind[i] != Kind.POSITION:
-                alignment.add_input(events.record[i])
+                alignment.add_input(events.event[i])
                 continue
             upto = events.arrival[i]
             orientation = None if self.imu.orientation is None else self.imu.orientation[kept[fed:upto]]
             alignment.add_samples(samples[fed:upto], orientation)
             fed = upto
             if found is None:
-                found, after = alignment.add_record(events.record[i], self.say), i + 1
-            elif alignment.takes_back_the_start(events.record[i], self.say):
+                found, after = alignment.add_event(events.event[i], self.say), i + 1
+            elif alignment.takes_back_the_start(events.event[i], self.say):
                 found = None
             if found is not None and not alignment.is_watching:
                 return found, after
@@ -259,9 +259,9 @@ class Replay(Intake):
         withheld = self._are_withheld(events)
         forks = []
         for b, _ in outages:
-            later = withheld & (events.record[:, Event.TIME] > (b - epoch) * 1e-9)
+            later = withheld & (events.event[:, Event.TIME] > (b - epoch) * 1e-9)
             forks.append(int(events.arrival[later].min()) if later.any() else len(samples))
-        events.record[:, Event.ID] = np.arange(len(events.kind))
+        events.event[:, Event.ID] = np.arange(len(events.kind))
         work = Playback(samples, events, self.columns, kept, states)
         branches, horizon, spare = {}, HorizonPredictor(self.config), np.zeros(len(memory))
         copies = Copies(self.config, work, self._began) if self.announces and outages else None
@@ -282,7 +282,7 @@ class Replay(Intake):
 
     def _are_withheld(self, events: Events) -> np.ndarray:
         """Which of the events an outage withholds."""
-        return self.config.from_satellites[events.record[:, Event.INPUT].astype(int)] != 0.0
+        return self.config.from_satellites[events.event[:, Event.INPUT].astype(int)] != 0.0
 
     def _keep_constraints(self, memory, work: Playback, index) -> None:
         """Run to the last sample and keep those at which a constraint was applied, before the memory drops them."""
@@ -308,7 +308,7 @@ class Replay(Intake):
         done = min(max(work.next_row - first, 0), len(coasted))
         coasted[:done] = work.states[first:first + done]
         if done < len(coasted):
-            left = work.events.select(~(withheld & (work.events.record[:, Event.TIME] > begin)))
+            left = work.events.select(~(withheld & (work.events.event[:, Event.TIME] > begin)))
             branch = Playback(work.samples, left, self.columns, work.kept, np.empty_like(work.states[:0]), work)
             branch.into(coasted[done:], first + done)
             branch.advance(copied(memory, spare), int(work.kept[stop - 1]) + 1)
@@ -333,7 +333,7 @@ class Replay(Intake):
                     self.say('warning', f'{self.topic(kind)}: {counts[verdict]} of {total} messages {why}')
         if self.memory is None:
             return
-        fixes = measured.record[measured.kind == Kind.POSITION]
+        fixes = measured.event[measured.kind == Kind.POSITION]
         for text in (*imu_warnings(self.memory, self.config.imu.topic),
                      *vehicle_warnings(self.memory, self.config, fixes)):
             self.say('warning', text)
@@ -344,7 +344,7 @@ class Replay(Intake):
     def measured_all(self) -> MeasurementLog:
         if not self.measurements:
             return MeasurementLog(*np.empty((3, 0), dtype=np.int64), _NOTHING)
-        names = ('kind', 'index', 'stamp', 'record')
+        names = ('kind', 'index', 'stamp', 'event')
         return MeasurementLog(*(np.concatenate([getattr(m, name) for m in self.measurements]) for name in names))
 
     def coasting(self) -> Coasting:
@@ -365,22 +365,22 @@ class Replay(Intake):
 @dataclass(frozen=True)
 class Events:
     """Measurements in the order of arrival: kind (number of the input), index among the samples of the input, arrival
-    (number of IMU samples before it), record, and the kernel's answer."""
+    (number of IMU samples before it), event, and the kernel's answer."""
 
     kind: np.ndarray
     index: np.ndarray
     arrival: np.ndarray
-    record: np.ndarray
+    event: np.ndarray
     answer: np.ndarray
 
     def select(self, index) -> Events:
-        return Events(self.kind[index], self.index[index], self.arrival[index], self.record[index],
+        return Events(self.kind[index], self.index[index], self.arrival[index], self.event[index],
                        self.answer[index])
 
     def later(self, first: int, skip: int) -> Events:
         """The measurements from number `first` on, for a run without the first `skip` IMU samples."""
         events = self.select(slice(first, None))
-        return Events(events.kind, events.index, np.maximum(events.arrival - skip, 0), events.record, events.answer)
+        return Events(events.kind, events.index, np.maximum(events.arrival - skip, 0), events.event, events.answer)
 
 
 class Playback:
@@ -392,11 +392,11 @@ class Playback:
         self.next_row = 0
         self.first_row = 0
         # a copy does not write to the log of the original run
-        self.log = _NOTHING if after else events.record
+        self.log = _NOTHING if after else events.event
         self.next_event = 0
         if after:
-            done = after.events.record[:after.next_event, Event.ID]
-            self.next_event = int(np.count_nonzero(np.isin(events.record[:, Event.ID], done)))
+            done = after.events.event[:after.next_event, Event.ID]
+            self.next_event = int(np.count_nonzero(np.isin(events.event[:, Event.ID], done)))
 
     def into(self, states, row: int) -> None:
         """Write the states from kept sample number `row` on to `states`."""
@@ -408,7 +408,7 @@ class Playback:
         upto = int(np.searchsorted(self.events.arrival, stop))
         rows = slice(self.next_row - self.first_row, self.next_row - self.first_row + len(kept))
         part = slice(self.next_event, upto)
-        kernel.run(memory, self.samples[self.sample:stop], self.events.record[part].copy(),
+        kernel.run(memory, self.samples[self.sample:stop], self.events.event[part].copy(),
                    self.events.arrival[part] - self.sample, self.events.answer[part], self.columns,
                    kept - self.sample, self.states[rows], self.log)
         self.next_row += len(kept)
@@ -418,7 +418,7 @@ class Playback:
         """Process the rest, with the events that arrived after the last sample."""
         self.advance(memory, len(self.samples))
         part = slice(self.next_event, len(self.events.kind))
-        kernel.run(memory, self.samples[:0], self.events.record[part].copy(), self.events.arrival[part] * 0,
+        kernel.run(memory, self.samples[:0], self.events.event[part].copy(), self.events.arrival[part] * 0,
                    self.events.answer[part], self.columns, self.kept[:0], self.states[:0], self.log)
         kernel.collect(memory, self.log)
 

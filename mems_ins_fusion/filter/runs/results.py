@@ -14,7 +14,7 @@ from ..start.start import Start
 from ..trust.hypotheses import Hypothesis
 from ..trust.lag import Lag
 from .intake import Notice
-from .odometry import added_covariance, corrected, estimated
+from .odometry import added_covariance, estimated, navigation_solution
 
 #: columns kept in addition to solution and covariance: to convert angles to metres and P to the published covariance,
 #: and the lag of a receiver that smooths
@@ -47,19 +47,19 @@ class Innovations:
 @dataclass(frozen=True)
 class MeasurementLog:
     """Every measurement that the kernel has processed: kind (k,), number of its input; index (k,) among the samples of
-    that; stamp (k,) ns; record (k, Event.SIZE)."""
+    that; stamp (k,) ns; event (k, Event.SIZE)."""
 
     kind: np.ndarray
     index: np.ndarray
     stamp: np.ndarray
-    record: np.ndarray
+    event: np.ndarray
 
     def select(self, index) -> MeasurementLog:
         return MeasurementLog(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def verdicts(self, kind: int) -> dict[int, int]:
         """How many measurements of `kind` had each verdict (of `Verdict`)."""
-        values, counts = np.unique(self.record[self.kind == kind, Event.VERDICT].astype(int), return_counts=True)
+        values, counts = np.unique(self.event[self.kind == kind, Event.VERDICT].astype(int), return_counts=True)
         return dict(zip(values.tolist(), counts.tolist()))
 
 
@@ -141,7 +141,7 @@ def _solution(states, rows, open_loop):
     out = np.empty((len(states), 9))
     for k in range(len(states)):
         (out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4], out[k, 5],
-         q) = corrected(states[k], 0, rows, open_loop)
+         q) = navigation_solution(states[k], 0, rows, open_loop)
         if rows[Error.PHI_N] < 0:
             out[k, 6] = out[k, 7] = 0.0
             out[k, 8] = states[k, Nav.YAW] - (estimated(states[k], 0, rows, Error.PHI_D) if open_loop else 0.0)
@@ -163,10 +163,10 @@ def _widen(variances, velocity, rows):
 
 def _innovations(measured: MeasurementLog) -> Innovations:
     """Innovations of the fixes that were used, in the order of their times."""
-    used = np.isin(measured.record[:, Event.VERDICT], (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED))
+    used = np.isin(measured.event[:, Event.VERDICT], (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED))
     fixes = measured.select((measured.kind == Kind.POSITION) & used)
     fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
-    r = fixes.record
+    r = fixes.event
     return Innovations(index=fixes.index, stamp=fixes.stamp, z=r[:, [Event.Z_N, Event.Z_E]],
                        s=r[:, [Event.S_NN, Event.S_NE, Event.S_EE]], nis=r[:, Event.NIS], z_down=r[:, Event.Z_D],
                        s_down=r[:, Event.S_DD], yaw=r[:, Event.YAW], velocity=r[:, [Event.V_N, Event.V_E]],

@@ -85,12 +85,12 @@ class _Smoothing(Replay):
         return memory
 
     def _filter(self, memory, samples, index, events: Events, epoch: int) -> None:
-        order = np.argsort(events.record[:, Event.TIME], kind='stable')
+        order = np.argsort(events.event[:, Event.TIME], kind='stable')
         timely = events.select(order)
-        timely.record[:, Event.ID] = np.arange(len(order))
-        timely.arrival[:] = np.searchsorted(samples[:, 0], timely.record[:, Event.TIME])
+        timely.event[:, Event.ID] = np.arange(len(order))
+        timely.arrival[:] = np.searchsorted(samples[:, 0], timely.event[:, Event.TIME])
         self._smooth(memory, samples, index, timely, epoch)
-        events.record[order], events.answer[order] = timely.record, timely.answer
+        events.event[order], events.answer[order] = timely.event, timely.answer
 
     def _smooth(self, memory, samples, index, events: Events, epoch: int) -> None:
         kept = np.flatnonzero(self.keep[index])
@@ -149,8 +149,8 @@ class _SmoothedOutages(_Smoothing):
             first = int(np.searchsorted(time[kept], begin, side='right')) - 1
             stop = min(int(np.searchsorted(time[kept], begin + self.duration)) + 1, len(kept))
             work.advance(memory, int(kept[first]) + 1)
-            left = events.select(~(withheld & (events.record[:, Event.TIME] > begin)
-                                   & (events.record[:, Event.TIME] <= begin + self.duration)))
+            left = events.select(~(withheld & (events.event[:, Event.TIME] > begin)
+                                   & (events.event[:, Event.TIME] <= begin + self.duration)))
             branch, coasting, rows = self._work(samples, left, work), memory.copy(), self._rows()
             history.begin(coasting, self.config.layout.n)
             for k in kept[first:stop].tolist():

@@ -18,7 +18,7 @@ from ..measurements import wheel_vibration
 from ..memory import NAV, newest_row
 from ..start.initial import sensor_errors_after, sensor_errors_of
 from ..start.start import SavedState, SensorErrors
-from .odometry import corrected, published_covariance
+from .odometry import navigation_solution, published_covariance
 
 AT_REST = 0.5  # m/s, largest estimated speed at the snapshot of a vehicle that was at rest. Chosen, not measured
 PARKED_YAW_SIGMA = 0.02  # rad, standard deviation of the change of heading of a parked vehicle
@@ -39,7 +39,7 @@ def make_snapshot(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
 
 
 def _solution(config: FilterConfig, memory: np.ndarray) -> tuple:
-    return corrected(newest_row(memory), 0, np.array(config.layout.rows, dtype=float), config.open_loop)
+    return navigation_solution(newest_row(memory), 0, np.array(config.layout.rows, dtype=float), config.open_loop)
 
 
 def vehicle_heading(config: FilterConfig, memory: np.ndarray) -> tuple[float, float]:

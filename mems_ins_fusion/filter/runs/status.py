@@ -122,7 +122,7 @@ class FilterStatus(Intake):
         """Memory of the filter that is published; None where there is none."""
         return self._provisional if self._memory is None else self._memory
 
-    def _refusal(self, kind: int, verdict: int, stamp: int, record) -> str:
+    def _refusal(self, kind: int, verdict: int, stamp: int, event) -> str:
         """Why a measurement was refused, in words and numbers."""
         if verdict == Verdict.FROZEN:
             return f'{self.name(kind)} repeats itself while the vehicle moves: refused'
@@ -140,8 +140,8 @@ class FilterStatus(Intake):
             return (f'{self.name(kind)} stamped {(stamp - self._now) * 1e-9:.1f} s after the IMU sample that came '
                     f'next: {missing}, or the clocks differ (gnss.time_offset); refused')
         measurement = self.config.inputs[kind]
-        innovation = record[Event.Z_N:Event.Z_N + measurement.components]
-        said = f'{measurement.off(record[Event.VALUE], innovation)}, {math.sqrt(record[Event.NIS]):.0f} sigma: refused'
+        innovation = event[Event.Z_N:Event.Z_N + measurement.components]
+        said = f'{measurement.off(event[Event.VALUE], innovation)}, {math.sqrt(event[Event.NIS]):.0f} sigma: refused'
         return f'{said}, as of wheels that slip' if measurement.kind in (Kind.SPEED, Kind.TWIST) else said
 
     def _say_faults(self, stamp: int) -> None:

@@ -60,7 +60,7 @@ def turn(memory: np.ndarray, before: FilterConfig, after: FilterConfig) -> None:
     for one in (memory, memory[size:]) if memory[Bank.OPEN] else (memory,):
         head, _, rows, ring, _ = views(one)
         constant = before.offset - head[Head.OFFSET:Head.OFFSET + 6]
-        head[Head.CONDITIONING:Head.CONDITIONING + 36] = after.conditioning.ravel()
+        head[Head.CONDITIONING:Head.CONDITIONING + 36] = after.conditioning.T.ravel()
         head[Head.OFFSET:Head.OFFSET + 6] = after.offset - both @ constant
         for column in (Still.FIRST, Still.SECOND, Still.MEAN):
             head[column:column + 3] = rotation @ head[column:column + 3]

@@ -42,7 +42,7 @@ FARTHEST_ADRIFT = 10.0  # m by which these fixes have to move: fixes of a parked
 
 
 def vehicle_warnings(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) -> list[str]:
-    """Messages on contradictions to the parameters. fixes: the latest records (k, Event.SIZE)."""
+    """Messages on contradictions to the parameters. fixes: the latest events (k, Event.SIZE)."""
     texts, topic, row = [], config.imu.topic, newest_row(memory)
     if config.vehicle.zero_velocity_sigma and _is_adrift(fixes):
         texts.append(f'{config.gnss.topic}: the fixes move on while {topic} shows a standstill '

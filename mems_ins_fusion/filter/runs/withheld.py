@@ -29,7 +29,7 @@ from ..memory import (
 from ..trust.scale import Scale, learn_changes, scale
 from .coarse import follow
 from .newest import NewestState
-from .odometry import corrected
+from .odometry import navigation_solution
 
 PERIOD = 30.0  # s, of a copy: as long as most outages in a town
 FIRST = 6  # copies that follow each other at once: three minutes show most of what is usual for a vehicle
@@ -137,7 +137,7 @@ class Withheld:
         scale(self._scale, 0)
 
     def _latitude_longitude(self, row: np.ndarray) -> tuple[float, float]:
-        return corrected(row, 0, self._rows, self._open_loop)[:2]
+        return navigation_solution(row, 0, self._rows, self._open_loop)[:2]
 
 
 def _held(memory: np.ndarray) -> float:

@@ -40,7 +40,7 @@ from .course import (
 from .magnetic import find_magnetic_heading
 from .plausibility import direction_in_motion, is_backwards, problem_of_direction, problem_of_samples
 from .start import DATUM_FIXES, SavedState, Standstill, Start
-from .two_receivers import find_heading
+from .two_receivers import SLOW_SPEED, find_heading
 
 LONGEST_KEPT = 300.0  # s of samples and fixes kept while waiting
 #: s after the first sample for which the motion may take a start back. Vehicles have turned and braked by then
@@ -48,7 +48,6 @@ LONGEST_WATCHED = 300.0
 RECENT = 10.0  # s of samples and fixes from which a present standstill, or the speed of a slow vehicle, is determined
 SIGNIFICANT = 3.0  # standard deviations of two fixes by which their displacement has to contradict a heading
 SPEED_CHANGE_SIGMA = 0.3  # m/s, standard deviation of a slow vehicle's present speed about its mean over RECENT. Chosen
-SLOW_SPEED = 2.0  # m/s: the course of a faster vehicle soon shows its heading. Chosen, not measured
 STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity at rest
 #: number of fixes that have to be as near to the line through earlier ones as the noise known so far allows, before a
 #: course is looked for: noise above the claim looks like motion
@@ -123,14 +122,14 @@ class Alignment:
         if self._first is None and k:
             self._first = float(samples[0, 0])
 
-    def add_input(self, record: np.ndarray) -> None:
-        """Add one magnetic field, or one fix of a further receiver, as a record."""
-        if record[Event.KIND] == Kind.PLACE:
-            self._places[record[Event.INPUT]].append((record[Event.TIME], record[Event.LATITUDE],
-                                                      record[Event.LONGITUDE], record[Event.R_NN]))
-        elif record[Event.INPUT] == self.config.of_input(self._magnetometer.number)[0]:
-            self._fields.append((record[Event.TIME], *record[Event.VALUE:Event.VALUE + 3], record[Event.R_NN],
-                                 record[Event.DECLINATION]))
+    def add_input(self, event: np.ndarray) -> None:
+        """Add one magnetic field, or one fix of a further receiver, as an event."""
+        if event[Event.KIND] == Kind.PLACE:
+            self._places[event[Event.INPUT]].append((event[Event.TIME], event[Event.LATITUDE],
+                                                      event[Event.LONGITUDE], event[Event.R_NN]))
+        elif event[Event.INPUT] == self.config.of_input(self._magnetometer.number)[0]:
+            self._fields.append((event[Event.TIME], *event[Event.VALUE:Event.VALUE + 3], event[Event.R_NN],
+                                 event[Event.DECLINATION]))
 
     @property
     def _samples(self) -> np.ndarray:
@@ -141,13 +140,13 @@ class Alignment:
         imu = self._samples
         return imu[imu[:, 0] > time][:, [0, *range(7, 13)]]
 
-    def add_record(self, record: np.ndarray, say) -> Start | None:
-        """Add one valid fix, as a record; messages to the user go to say(level, text). Returns the start once there is
+    def add_event(self, event: np.ndarray, say) -> Start | None:
+        """Add one valid fix, as an event; messages to the user go to say(level, text). Returns the start once there is
         one."""
         before = self.waiting_for
-        covariance = np.array([[record[Event.R_NN], record[Event.R_NE]], [record[Event.R_NE], record[Event.R_EE]]])
-        start = self.add_fix(record[Event.TIME], record[Event.LATITUDE], record[Event.LONGITUDE],
-                             record[Event.HEIGHT], covariance)
+        covariance = np.array([[event[Event.R_NN], event[Event.R_NE]], [event[Event.R_NE], event[Event.R_EE]]])
+        start = self.add_fix(event[Event.TIME], event[Event.LATITUDE], event[Event.LONGITUDE],
+                             event[Event.HEIGHT], covariance)
         if start is not None:
             for level, text in start.notes:
                 say(level, text)
@@ -193,11 +192,11 @@ class Alignment:
         return bool(self.config.vehicle.lateral_sigma and not self._forwards and self._count
                     and self._imu[self._count - 1, 0] - self._first < LONGEST_WATCHED)
 
-    def takes_back_the_start(self, record: np.ndarray, say) -> bool:
-        """Add one valid fix after the start, as a record. Returns whether the motion by now contradicts the mounting:
+    def takes_back_the_start(self, event: np.ndarray, say) -> bool:
+        """Add one valid fix after the start, as an event. Returns whether the motion by now contradicts the mounting:
         then there is no start yet. Messages to the user go to say(level, text)."""
-        variance = 0.5 * (record[Event.R_NN] + record[Event.R_EE])
-        self._keep_fix(*record[[Event.TIME, Event.LATITUDE, Event.LONGITUDE]], variance, record[Event.HEIGHT], None)
+        variance = 0.5 * (event[Event.R_NN] + event[Event.R_EE])
+        self._keep_fix(*event[[Event.TIME, Event.LATITUDE, Event.LONGITUDE]], variance, event[Event.HEIGHT], None)
         found = direction_in_motion(self._samples, self._in_blocks(), self._positions())
         problem = '' if found is None else self._judge_motion(found)
         if problem:

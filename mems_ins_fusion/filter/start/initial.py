@@ -37,7 +37,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     estimate, covariance, constant = _sensor_errors(config, start, level)
     offset = offset.copy()
     offset[config.channel_axes] -= constant
-    head[Head.CONDITIONING:Head.CONDITIONING + 36] = conditioning.ravel()
+    head[Head.CONDITIONING:Head.CONDITIONING + 36] = conditioning.T.ravel()
     head[Head.OFFSET:Head.OFFSET + 6] = offset
 
     row, layout = rows[0], config.layout
@@ -129,7 +129,7 @@ def sensor_errors_of(config: FilterConfig, memory: np.ndarray) -> SensorErrors:
     layout, row, head = config.layout, newest_row(memory), memory
     n = layout.n_navigation
     # the constant parts: offset in the memory minus offset of the configuration, which is levelled if the memory's was
-    leveled_offset = (head[Head.CONDITIONING:Head.CONDITIONING + 36].reshape(6, 6)
+    leveled_offset = (head[Head.CONDITIONING:Head.CONDITIONING + 36].reshape(6, 6).T
                       @ np.linalg.solve(config.conditioning, config.offset))
     constant = (leveled_offset - head[Head.OFFSET:Head.OFFSET + 6])[config.channel_axes]
     return SensorErrors(row[NAV + n:NAV + layout.n].copy(),

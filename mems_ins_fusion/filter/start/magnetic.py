@@ -44,7 +44,7 @@ def find_magnetic_heading(imu: np.ndarray, fields: np.ndarray, standstill: Stand
     """The heading at the newest sample; None while it is not determined to HEADING_SIGMA.
 
     imu: samples (n, 7 or more) of time, f, w in body axes. fields: (k, 6) of time, field in body axes, variance and
-    declination, as in the records. name: of the input. known: sensor errors of an earlier run.
+    declination, as in the events. name: of the input. known: sensor errors of an earlier run.
     """
     now = imu[-1, 0]
     part = imu[imu[:, 0] > now - LONGEST_COURSE_TIME]

@@ -34,7 +34,7 @@ LARGEST_OFFSET = 0.6
 
 @njit(_nrt=False)
 def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
-    """Whether the innovation of the record at `at` and those before say so; the offset's variance in P of the scratch
+    """Whether the innovation of the event at `at` and those before say so; the offset's variance in P of the scratch
     is then larger by the square of the jump.
 
     own: position of the input's `Seen`. noise, variance: of the innovation, of the input and of the state at r.

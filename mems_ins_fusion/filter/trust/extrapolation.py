@@ -44,9 +44,6 @@ LONGEST_STEP = 15.0
 LONGEST_COMPARED = 3.0
 #: nats that one fix may add at most: of measured ones, too, one lies on the line by chance
 LARGEST_EVIDENCE = 5.0
-#: s: mean time for which a receiver measures until it extrapolates: drives in cities have stretches without satellites
-#: each hour
-TIME_BETWEEN_FAULTS = 3600.0
 #: nats above which no more are gathered: one fix off the line ends it in any case
 LARGEST_NATS = 15.0
 #: fixes from which on its scatter is used: it is then known to a fifth
@@ -95,7 +92,7 @@ def is_extrapolated(mem, r, at, z_n, z_e):
     mem[last], mem[last + 1], mem[last + 2] = time, latitude, longitude
     departed = (z_n - mem[r + Extrapolation.MOVED]) ** 2 + (z_e - mem[r + Extrapolation.MOVED + 1]) ** 2
     imu_is_right = mem[r + Nav.USE_ALL_FIXES] == 0.0 and mem[r + Nav.BRIDGED] == 0.0  # and used
-    found = known and mem[r + Extrapolation.NATS] > math.log(TIME_BETWEEN_FAULTS / step) and (
+    found = known and mem[r + Extrapolation.NATS] > -math.log(hypotheses.FAULT_RATE * step) and (
         mem[r + Extrapolation.REPORTED] != 0.0
         or imu_is_right and moves(mem, r) and departed > DEPARTED * DEPARTED * claimed)
     if mem[Head.GATE] > 0.0 and found or mem[at + Event.WITHDRAWN] != 0.0:

@@ -35,7 +35,7 @@ LONGEST_ERROR = 60.0
 
 @njit(_nrt=False)
 def allow_for_jump(mem, r, at, n, dimensions, sample):
-    """Gyroscopes that certainly turn at the standstill of the record at `at` less certain by as much, and the heading
+    """Gyroscopes that certainly turn at the standstill of the event at `at` less certain by as much, and the heading
     with them; rows of H stand behind P in the scratch. sample: position of the IMU sample."""
     h, p, yaw = int(mem[Head.SCRATCH_AT]) + n * n, int(mem[Head.SCRATCH_AT]), yaw_state(mem)
     unseen, white = min(mem[r + Nav.TIME] - mem[r + Gyroscopes.AGREED], LONGEST_UNSEEN), _white(mem, sample)

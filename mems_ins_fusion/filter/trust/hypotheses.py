@@ -54,10 +54,8 @@ Hypothesis = ROW.place(
 START_ANEW, START_WITHOUT_IMU = 1.0, 2.0
 #: 1/s: rate of faults of a receiver, one an hour (multipath, tunnels, wrong integers: drives in cities)
 FAULT_RATE = 1.0 / 3600.0
-#: 1/s: rate at which such a fault ends, after 20 s
+#: 1/s: rate at which such a fault ends, after 20 s, and at which its fixes jump to another offset. Chosen, not measured
 FAULT_END_RATE = 1.0 / 20.0
-#: 1/s: rate at which wrong fixes jump to another offset. Chosen, not measured
-JUMP_RATE = 1.0 / 20.0
 #: logarithm of the range, metres to kilometres, of a fix that may be anywhere: it is as likely 10 to 20 m off as 100 to
 #: 200 m
 LOG_RANGE = math.log(1000.0)
@@ -180,7 +178,7 @@ def _density_if_wrong(mem, r, z_n, z_e, r_nn, late_n, late_e, anywhere, interval
     density = anywhere
     if not jumped:
         _predict_offset(mem, at, interval, OFFSET_WALK, DRIFT_WALK)
-        jumps = max(1.0 - math.exp(-JUMP_RATE * interval), OUTLIER_SHARE)
+        jumps = max(1.0 - math.exp(-FAULT_END_RATE * interval), OUTLIER_SHARE)
         goes_on = (1.0 - jumps) * _offset_density(mem, at, z_n, z_e, r_nn, late_n, late_e)
         density = goes_on + jumps * anywhere
         jumped = goes_on < jumps * anywhere

@@ -1,11 +1,10 @@
 """Which IMU samples are used, by what the sensor itself has shown before.
 
-A sample that is not used is not lost time: the filter bridges it, first as if the vehicle went on as it did, then
-as if it neither turned nor changed its speed, with a covariance that knows what a vehicle may do meanwhile.
+A sample that is not used is not lost time: the filter bridges it as if the vehicle neither turned nor changed its
+speed, with a covariance that knows what a vehicle may do meanwhile.
 """
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from mems_ins_fusion.compiled import njit
@@ -41,7 +40,7 @@ Imu = HEAD.place(
     SAME=6,  # how often each came again one after the other
     CHANGED=6,  # and how often it was another one than before
     CENTRE=6,  # running mean of what was used
-    SPREAD=2,  # and its running variance, of f and of w
+    RATE_SCATTER=1,  # (rad/s)^2, and the running variance of the angular rate
     VARIED=1,  # samples that differ from the one before
     SPIKE_SINCE=1,  # s
     USED=1,  # samples used so far
@@ -49,12 +48,10 @@ Imu = HEAD.place(
 
 #: time constant of the running mean that neighbours are told by, s
 NEIGHBOURHOOD = 0.2
-#: m/s^2: a specific force further from that mean, besides SPIKE_SIGMAS of its scatter, is a spike: a pothole is less
+#: m/s^2: a specific force further from that mean is a spike: a pothole is less
 SPIKE_FORCE = 30.0
 #: rad/s: the same of a turn rate: no vehicle begins to turn so fast from one sample to the next
 SPIKE_RATE = 2.0
-#: sigmas: of the scatter that is usual
-SPIKE_SIGMAS = 8.0
 #: s: what lasts for longer is no spike
 LONGEST_SPIKE = 0.25
 #: m/s^2: what a vehicle reaches, but does not keep to the last digit: an axis that does is saturated
@@ -91,19 +88,21 @@ def check(mem, samples, k, dt, speed, contradicted, before=Fault.NONE):
     the sample before it.
     """
     time = samples[k, 0]
-    equal, zero, out, saturated, stuck, repeats = 1e9, True, False, False, 0, 0
+    equal, most, zero, out, saturated, stuck, repeats = 1e9, 0.0, True, False, False, 0, 0
     lively = mem[Imu.VARIED] > 0.5 * mem[Imu.USED] and mem[Imu.USED] > 10.0
     for i in range(6):
         value = samples[k, 1 + i]
-        mem[Imu.SAME + i] = mem[Imu.SAME + i] + 1.0 if value == mem[Imu.RAW + i] else 0.0
-        mem[Imu.RAW + i] = value
-        equal = min(equal, mem[Imu.SAME + i])
+        same = mem[Imu.SAME + i] + 1.0 if value == mem[Imu.RAW + i] else 0.0
+        mem[Imu.SAME + i], mem[Imu.RAW + i] = same, value
+        equal, most = min(equal, same), max(most, same)
         zero = zero and value == 0.0
         out = out or abs(value) > mem[Imu.MAX_FORCE + (i >= 3)]
-        large = abs(value) > (LARGE_FORCE if i < 3 else LARGE_RATE)
-        saturated = saturated or (large and mem[Imu.SAME + i] >= FEWEST_EQUAL)
-        stuck += 1 if _stays(mem, i, dt) else 0
-        repeats += 1 if mem[Imu.SAME + i] >= FEWEST_STUCK else 0
+    if most >= FEWEST_EQUAL:  # of most sensors no axis repeats itself so often
+        for i in range(6):
+            large = abs(mem[Imu.RAW + i]) > (LARGE_FORCE if i < 3 else LARGE_RATE)
+            saturated = saturated or (large and mem[Imu.SAME + i] >= FEWEST_EQUAL)
+            stuck += 1 if _stays(mem, i, dt) else 0
+            repeats += 1 if mem[Imu.SAME + i] >= FEWEST_STUCK else 0
     # at rest an axis may repeat itself; one that was frozen before it, beside axes that all show noise, is so still
     tells = speed > MOVING_SPEED or before == Fault.FROZEN and repeats == stuck
     fault = Fault.NONE
@@ -150,22 +149,19 @@ def is_stuck(mem, dt):
 def _is_spike(mem, time):
     if mem[Imu.USED] < 10.0 or time - mem[Imu.SPIKE_SINCE] > LONGEST_SPIKE:
         return False
-    force = SPIKE_FORCE + SPIKE_SIGMAS * math.sqrt(mem[Imu.SPREAD])
-    rate = SPIKE_RATE + SPIKE_SIGMAS * math.sqrt(mem[Imu.SPREAD + 1])
     for i in range(6):
-        if abs(mem[Imu.RAW + i] - mem[Imu.CENTRE + i]) > (force if i < 3 else rate):
+        if abs(mem[Imu.RAW + i] - mem[Imu.CENTRE + i]) > (SPIKE_FORCE if i < 3 else SPIKE_RATE):
             return True
     return False
 
 
 @njit(_nrt=False)
 def _remember(mem, dt):
-    """Running mean and variance of the samples used."""
-    weight = 1.0 if mem[Imu.USED] == 1.0 else min(1.0, dt / NEIGHBOURHOOD)
-    for half in range(2):
-        squared = 0.0
-        for i in range(3 * half, 3 * half + 3):
-            deviation = mem[Imu.RAW + i] - mem[Imu.CENTRE + i]
-            mem[Imu.CENTRE + i] += weight * deviation
+    """Running mean of the samples used, and variance of their angular rates, on the axis that is furthest off."""
+    weight, squared = 1.0 if mem[Imu.USED] == 1.0 else min(1.0, dt / NEIGHBOURHOOD), 0.0
+    for i in range(6):
+        deviation = mem[Imu.RAW + i] - mem[Imu.CENTRE + i]
+        mem[Imu.CENTRE + i] += weight * deviation
+        if i >= 3 and weight < 1.0:
             squared = max(squared, deviation * deviation)
-        mem[Imu.SPREAD + half] += min(weight, 0.5) * ((squared if weight < 1.0 else 0.0) - mem[Imu.SPREAD + half])
+    mem[Imu.RATE_SCATTER] += min(weight, 0.5) * (squared - mem[Imu.RATE_SCATTER])

@@ -225,7 +225,7 @@ def _make_state_uncertain(mem, n, dimensions, variance):
 
 @njit(_nrt=False)
 def _innovation(mem, r, at, n, dimensions):
-    """Mean square of the innovation of the record at `at`, and what of that is expected of the state."""
+    """Mean square of the innovation of the event at `at`, and what of that is expected of the state."""
     h, squared, variance = int(mem[Head.SCRATCH_AT]) + n * n, 0.0, 0.0
     for k in range(dimensions):
         squared += (mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)) ** 2 / dimensions
@@ -263,7 +263,7 @@ def _constant_error(mem, at):
 
 @njit(_nrt=False)
 def is_contradicted(mem, r, at):
-    """Whether the displacements of the input of the record at `at` contradict those of the fixes, or did so lately."""
+    """Whether the displacements of the input of the event at `at` contradict those of the fixes, or did so lately."""
     fitted = mem[seen_of(mem, r, at) + Seen.FITTED]
     return (has_displacement(int(mem[at + Event.KIND])) and fitted < 0.0
             and mem[at + Event.TIME] + fitted < READMITTED_AFTER)
@@ -271,7 +271,7 @@ def is_contradicted(mem, r, at):
 
 @njit(_nrt=False)
 def _note_wrong_displacement(mem, r, at, n):
-    """Note whether the displacements of the input of the record at `at` contradict those of the fixes, by more than its
+    """Note whether the displacements of the input of the event at `at` contradict those of the fixes, by more than its
     constant error, as estimated, may still be off; P is in the scratch."""
     kind, own = int(mem[at + Event.KIND]), seen_of(mem, r, at)
     if not has_displacement(kind):
@@ -337,7 +337,7 @@ def _axle(mem, r):
 
 @njit(_nrt=False)
 def leave_out_turn_rate(mem, r, at, n):
-    """Leave out the turn rate of the record at `at`, its third component, where it does not fit: at any instant
+    """Leave out the turn rate of the event at `at`, its third component, where it does not fit: at any instant
     gyroscopes know it better than wheels, of which it may have the wrong sign, track or clock."""
     h = int(mem[Head.SCRATCH_AT]) + n * n + 2 * n
     innovation = mem[at + Event.Z_D] - product(mem, n, h, r + NAV)

@@ -1,10 +1,10 @@
 """Whether an input repeats itself: a sensor or a driver that has stopped and goes on sending its last value.
 
 A receiver that moves never says the same position or velocity twice, and an input whose messages have all differed
-does not repeat one several times. A speed in whole kilometres an hour or a heading in whole degrees may stay as it is
-for a minute, but not while the inertial sensors see more of a change than their errors explain: what the state has
-gained of it between the messages since it has that value, in the last seconds. What is too slow for them to see makes a
-speed that does not change less known by the second.
+does not repeat one several times. A speed in whole kilometres an hour may stay as it is for a minute, but not while the
+inertial sensors see more of a change than their errors explain: what the state has gained of it between the messages
+since it has that value, in the last seconds. What is too slow for them to see makes a speed that does not change less
+known by the second. A heading in whole degrees that stays as it is is refused by what the gyroscopes have seen since.
 """
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from .standstill import moves
 Repeats = ROW.place(
     'Repeats',
     STUCK=1)  # 1: the main receiver has repeated its position while the vehicle moved, and has done so ever since
-#: changes that rounding leaves unsaid: of a speed, m/s, and of a heading, rad, some steps of the coarsest there are
-ROUNDED_SPEED, ROUNDED_HEADING = 1.0, 0.1
-#: and of what the inertial sensors may be wrong by: m/s^2, a tilt of two degrees, and rad/s
-UNSEEN_ACCELERATION, UNSEEN_RATE = 0.3, 0.005
+#: m/s, change of a speed that rounding leaves unsaid: some steps of the coarsest there are
+ROUNDED_SPEED = 1.0
+#: m/s^2, by which the inertial sensors may be wrong: a tilt of two degrees
+UNSEEN_ACCELERATION = 0.3
 #: s over which that is added up: shorter than a car takes to gain what rounding hides, or errors would pass for it
 FORGETTING_TIME = 5.0
 #: messages in a row, each unlike the one before it, while the vehicle moved: after as many an input counts as one that
@@ -40,7 +40,7 @@ LONGEST_STEADY, AGEING = 2.0, 0.1
 
 @njit(_nrt=False)
 def is_stuck(mem, r, at):
-    """Whether the record at `at`, of any input, repeats the one before although the state at r has changed."""
+    """Whether the event at `at`, of any input, repeats the one before although the state at r has changed."""
     if mem[Head.GATE] == 0.0:
         return False
     kind = int(mem[at + Event.KIND])
@@ -65,16 +65,10 @@ def is_stuck(mem, r, at):
         return False
     if moving and (kind == Kind.PLACE or kind == Kind.VELOCITY) or mem[own + Seen.DIFFERENT] >= LIVELY + FEWEST_EQUAL:
         mem[own + Seen.GAINED] = UNEXPLAINED
-    if not is_of_velocity(kind) and not is_of_heading(kind):  # no inertial sensor shows how it changes
-        return mem[own + Seen.GAINED] == UNEXPLAINED
-    gained = _told(mem, r, kind) - mem[own + Seen.LEFT]
-    explained = ROUNDED_SPEED + UNSEEN_ACCELERATION * FORGETTING_TIME
-    if is_of_heading(kind):
-        gained = math.atan2(math.sin(gained), math.cos(gained))
-        explained = ROUNDED_HEADING + UNSEEN_RATE * FORGETTING_TIME
-    if mem[own + Seen.GAINED] != UNEXPLAINED:  # until it says something else
+    if is_of_velocity(kind) and mem[own + Seen.GAINED] != UNEXPLAINED:  # until it says something else
+        gained = _told(mem, r, kind) - mem[own + Seen.LEFT]
         mem[own + Seen.GAINED] = mem[own + Seen.GAINED] * math.exp(-max(since, 0.0) / FORGETTING_TIME) + gained
-        if abs(mem[own + Seen.GAINED]) > explained:
+        if abs(mem[own + Seen.GAINED]) > ROUNDED_SPEED + UNSEEN_ACCELERATION * FORGETTING_TIME:
             mem[own + Seen.GAINED] = UNEXPLAINED
     return mem[own + Seen.GAINED] == UNEXPLAINED
 
@@ -100,7 +94,7 @@ def unknown(mem, own, time):
 
 @njit(_nrt=False)
 def note(mem, r, at):
-    """Remember what the state at r says of what the record at `at` measures, after its correction."""
+    """Remember what the state at r says of what the event at `at` measures, after its correction."""
     kind = int(mem[at + Event.KIND])
     if is_of_velocity(kind) or is_of_heading(kind):
         mem[seen_of(mem, r, at) + Seen.LEFT] = _told(mem, r, kind)

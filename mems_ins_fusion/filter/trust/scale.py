@@ -120,7 +120,7 @@ WEIGHTS = tuple(0.5 / math.sqrt(2.0 * math.pi) * math.exp(-0.5 * node * node) fo
 
 @njit(_nrt=False)
 def seen_of(mem, r, at):
-    """Position of what is seen (`Seen`) of the input that the record at `at` is from, in the state at r."""
+    """Position of what is seen (`Seen`) of the input that the event at `at` is from, in the state at r."""
     return r + int(mem[Head.WIDTH]) - Seen.SIZE * int(mem[at + Event.INPUT])
 
 

@@ -47,15 +47,15 @@ def show_noise(mem, k, dt):
         mem[at + Shown.WHITE + i] = mem[last + Shown.WHITE + i]
     if k <= ORDER:
         return
-    for j in range(ORDER + 1):
-        one = nonnegative(sample_at(mem, k - j))
-        interval = mem[one + Sample.INTERVAL] if j < ORDER else dt
-        if mem[one + Sample.FAULT] != 0.0 or interval > EVEN_RATIO * dt or dt > EVEN_RATIO * interval:
-            return
+    if mem[at + Sample.FAULT] != 0.0:
+        return
     # differences of the first and of the last four of the six axes
     first, last = _WEIGHTS[0] * four(mem, at + Sample.F_X), _WEIGHTS[0] * four(mem, at + Sample.F_Z)
     for j in range(1, ORDER + 1):
         one, weight = nonnegative(sample_at(mem, k - j)), _WEIGHTS[j]
+        interval = mem[one + Sample.INTERVAL] if j < ORDER else dt
+        if mem[one + Sample.FAULT] != 0.0 or interval > EVEN_RATIO * dt or dt > EVEN_RATIO * interval:
+            return
         first = first + weight * four(mem, one + Sample.F_X)
         last = last + weight * four(mem, one + Sample.F_Z)
     share, white = min(dt / MEAN_TIME, 1.0), at + Shown.WHITE

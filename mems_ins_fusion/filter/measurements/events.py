@@ -1,4 +1,4 @@
-"""Functions that measurements share: records for the kernel, and the velocity of a point of a simulated vehicle."""
+"""Functions that measurements share: events for the kernel, and the velocity of a point of a simulated vehicle."""
 from __future__ import annotations
 
 import numpy as np
@@ -12,10 +12,10 @@ SMALLEST_SPEED_SIGMA = 0.001
 
 
 def empty(kind: int, n: int) -> np.ndarray:
-    """n records of one kind, all other columns zero: (n, Event.SIZE)."""
-    records = np.zeros((n, Event.SIZE))
-    records[:, Event.KIND] = kind
-    return records
+    """n events of one kind, all other columns zero: (n, Event.SIZE)."""
+    events = np.zeros((n, Event.SIZE))
+    events[:, Event.KIND] = kind
+    return events
 
 
 def refuse(reasons: dict[int, str], wrong: np.ndarray, text) -> None:
