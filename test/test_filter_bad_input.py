@@ -68,7 +68,7 @@ def test_an_imu_sample_that_is_not_a_number_is_dropped(fusion, index, bad):
 
 def test_a_fix_without_fix_status_is_dropped(fusion):
     fusion.add_fix(now(fusion), *FIX, COVARIANCE, status=-1)
-    assert said(fusion) == [('warning', '/gps/fix: status -1: no fix')]
+    assert said(fusion) == [('warning', '/gps/fix: no fix, by its status')]
 
 
 @pytest.mark.parametrize('bad', [math.nan, math.inf])

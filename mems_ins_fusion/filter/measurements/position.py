@@ -136,7 +136,7 @@ def _reason(latitude: float, longitude: float, height: float, status: float) -> 
     """Why a fix has no position (`is_position`), in words."""
     degrees = math.degrees(latitude), math.degrees(longitude)
     if status < 0:
-        return f'status {status:.0f}: no fix'
+        return 'no fix, by its status'
     if not (math.isfinite(latitude) and math.isfinite(longitude) and math.isfinite(height)):
         return f'latitude, longitude, altitude {degrees[0]}, {degrees[1]}, {height}: fix dropped'
     if not is_place(latitude, longitude, 0.0):
