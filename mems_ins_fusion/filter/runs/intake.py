@@ -136,9 +136,8 @@ class Intake:
             before = int(stamp[newest[i - 1]]) if i > 0 and newest[i - 1] >= 0 else last
             now = int(stamp[i])
             if codes[i] == NOT_FINITE:
-                f, w = values[i, :3].tolist(), values[i, 3:].tolist()
-                self.say('warning', f'{topic}: linear_acceleration ({f[0]}, {f[1]}, {f[2]}), angular_velocity '
-                                    f'({w[0]}, {w[1]}, {w[2]}): sample dropped')
+                f, w = (', '.join(f'{v:.4g}' for v in part) for part in (values[i, :3], values[i, 3:]))
+                self.say('warning', f'{topic}: linear_acceleration ({f}), angular_velocity ({w}): sample dropped')
             elif codes[i] == JUMPED:
                 self.say('warning', f'{topic}: header.stamp jumped by {(now - before) * 1e-9:+.3f} s and stays there: '
                                     'the filter aligns anew')
@@ -157,7 +156,8 @@ class Intake:
         the filter.
         """
         measurement, settings, offset = self.config.inputs[kind], self.config.settings_of(kind), self._offsets[kind]
-        records, reasons, warnings = measurement.records(settings, samples)
+        with np.errstate(over='ignore', invalid='ignore'):  # what no sensor measures is refused by its record
+            records, reasons, warnings = measurement.records(settings, samples)
         codes, late = np.zeros(len(records), dtype=np.int64), round(offset * 1e9)
         for i in reasons:
             codes[i] = NO_MEASUREMENT
