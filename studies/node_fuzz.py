@@ -107,15 +107,14 @@ def run(seed: int, options: argparse.Namespace) -> list[str]:
             peer.spin_some(STEP / options.speed)
         peer.spin_some(5.0)
         state = heard.message('filter')
-        alive = node.says('nothing says this', 0.1) is None and node._process.poll() is None
-        if not alive:
-            failed.append(f'the node died with status {node._process.poll()}')
-        else:
+        if node.status is None:
             node.send(SIGINT)
-            status = node.wait(PATIENCE)
-            if status:
-                failed.append(f'the node ended with status {status}')
-        failed += [f'traceback: {line}' for line in node.lines if 'Traceback' in line or 'Warning:' in line]
+        else:
+            failed.append('the node died')
+        status = node.wait(PATIENCE)
+        if status:
+            failed.append(f'the node ended with status {status}')
+        failed += [line for line in node.lines if 'Traceback' in line or 'Warning:' in line]
         lines = list(node.lines)
     for what, messages in (('odometry', peer.odometry), ('fused fix', peer.fixes)):
         wrong = sum(not np.isfinite(numbers(message)).all() for message in messages)
