@@ -149,7 +149,7 @@ def test_a_value_that_was_not_fitted_keeps_its_sigma():
 
     # then the sigma, which is of both, stays; with both it is the larger one, and what is up has none
     assert proven(x=0.1) == {'gnss.lever_arm_sigma': 0.5}
-    assert proven(x=0.1, y=0.2, z=0.9) == {'gnss.lever_arm_sigma': 0.2}
+    assert proven(x=0.1, y=0.2, z=0.9) == proven(x=0.2, y=0.1) == {'gnss.lever_arm_sigma': 0.2}
     assert proven(z=0.9) == {}
     arm.added = False
     assert proven(x=0.1, y=0.2) == {}

@@ -175,7 +175,7 @@ def test_what_the_track_shows_for_certain_is_told_even_where_held_out_data_do_no
     for certain in ((), ('gnss_time_offset',)):
         trials = SimpleNamespace(library=[], origin=SimpleNamespace(given={}), beside=SimpleNamespace(track=None),
                                  certain=certain)
-        said[certain] = _final_findings(SimpleNamespace(model=model, findings=[told]), {}, {}, trials)
+        said[certain] = _final_findings(SimpleNamespace(model=model, findings=[told]), {told.name: {}}, {}, {}, trials)
     # then it is told only where the checker tells it, too
     assert not said[()] and [finding.name for finding in said['gnss_time_offset',]] == ['gnss_time_offset']
 
