@@ -18,6 +18,16 @@ def runs(mask: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, np.int8), [0]]))).reshape(-1, 2)
 
 
+#: no input of a vehicle has a larger number, in any unit
+MOST = 1e9
+
+
+def possible(values: np.ndarray) -> np.ndarray:
+    """(n,) which of `values`, (n,) or (n, k), have numbers that an input of a vehicle can have."""
+    within = np.abs(values) <= MOST  # false for NaN
+    return within if within.ndim == 1 else within.all(axis=1)
+
+
 def in_time_order(stamp: np.ndarray, usable: np.ndarray) -> np.ndarray:
     """Indices of the samples that are `usable` (n,) bool, in the order of `stamp` (n,) ns; of equal stamps, the first.
     """

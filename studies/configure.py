@@ -155,10 +155,10 @@ class Case:
 
 
 def case(number: int, upright: bool = False, duration: float = 600.0, any_fixes: bool = False,
-         second: bool = False, rates: Sequence[float] = ()) -> Case:
+         second: int = 0, rates: Sequence[float] = ()) -> Case:
     """upright: the IMU sits about as its axes say, off by some degrees; else anyhow. duration: s, at most. any_fixes:
     receivers of ANY_RATE, each second one with gaps, instead of the kind's own rate. rates: the same with these, Hz.
-    second: another drive of this vehicle, with the truth."""
+    second: which other drive of this vehicle, with the truth; 0: the first drive."""
     seed = number + SECOND_DRIVE * second
     kind, draw = KINDS[number % len(KINDS)], stream(number, 'estimator')
     offset = float(draw.uniform(-LARGEST_OFFSET, LARGEST_OFFSET))

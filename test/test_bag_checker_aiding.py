@@ -7,9 +7,10 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
+from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offset
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, check_recording
-from mems_ins_fusion.samples import Headings, Speeds, Velocities
+from mems_ins_fusion.samples import Headings, Speeds, Velocities, possible
 from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_drive, simulate_recording
 
 AIDING = ('speed', 'velocity', 'heading')
@@ -139,10 +140,30 @@ def test_messages_that_say_nothing(sound):
     yaw[5:8], variance[20] = np.nan, 0.0
     counts = {f.message: f.values['count'] for f in findings(altered(sound, 'heading', yaw=yaw, variance=variance),
                                                              WARNING)}
-    assert counts == {'3 messages without a heading, or not finite': 3,
+    assert counts == {'3 messages without a heading, or with an impossible one': 3,
                       '1 message with an unknown or zero covariance': 1}
     nothing = altered(sound, 'speed', speed=np.full(len(sound.speed), np.nan))
     assert 'without a speed' in findings(nothing, ERROR)[0].message
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('absurd', [1e300, -1e155, np.inf, np.nan])
+def test_numbers_that_no_vehicle_has_do_not_spoil_the_comparison(sound, absurd):
+    # given a speed, a velocity and a heading, each seventh message of which has an absurd number
+    def spoiled(samples, column):
+        values = getattr(samples, column).copy()
+        values[::7] = absurd
+        return replace(samples, **{column: values})
+
+    columns = {'speed': 'speed', 'heading': 'yaw', 'velocity': 'velocity'}
+    wrong = sound.having({name: spoiled(sound.streams()[name], column) for name, column in columns.items()})
+    count = sum(-(-len(sound.streams()[name]) // 7) for name in columns)
+    # then only that is told, and clocks and axes are those of the others
+    told = findings(wrong, WARNING)
+    assert sum(f.values['count'] for f in told) == count and not findings(wrong, ERROR)
+    offset = estimate_velocity_offset(wrong.velocity, wrong.gnss)
+    others = sound.velocity.select(possible(wrong.velocity.velocity))
+    assert offset == estimate_velocity_offset(others, wrong.gnss)
 
 
 def test_stamps_of_another_clock(sound):

@@ -347,7 +347,7 @@ def test_a_wrong_mounting_is_contradicted_in_plain_words(declared, words):
     made = recording(sigma=0.5)
     found, = check_mounting(made, table.check({'imu.mounting_rpy': declared}))
     assert words in found.message and found.severity == ERROR
-    assert 'set imu.mounting_rpy to [' in found.message
+    assert 'set imu.mounting_rpy to [' in found.message and ' deg' in found.message.split(' +- ')[1]
     # though a vehicle that may go sideways, as the parameters have it, may have that yaw
     free = check_mounting(made, table.check({'imu.mounting_rpy': declared, 'vehicle.non_holonomic': False}))
     assert [one.severity for one in free] == [ERROR if declared[0] else 'warning']

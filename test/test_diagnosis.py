@@ -127,7 +127,9 @@ def test_a_time_offset_is_found_with_its_value_and_taken_out(undisturbed):
     offset = finding.parameters['time_offset']
     value, sigma = offset.value, offset.sigma
     assert offset.unit == 's' and 0 < sigma < 0.03 and abs(value - 0.2) < 3 * sigma
-    assert finding.changes == {'gnss.time_offset': result.corrected['gnss.time_offset']}
+    assert finding.changes == {'gnss.time_offset': result.corrected['gnss.time_offset'],
+                               'gnss.time_offset_sigma': offset.sigma}
+    assert result.corrected['gnss.time_offset_sigma'] == offset.sigma
     assert finding.held_out.helps
     # the error is that without the effect and what 3 sigma (of half the data: sqrt 2 more) are at this speed
     clean = rms(undisturbed[0].before)

@@ -118,15 +118,41 @@ def test_what_is_fitted_too_is_not_held(drive):
 def test_what_is_held_is_in_the_sigma_of_what_is_set(drive, monkeypatch):
     # given an offset that was added, and a track that shows another one and an arm
     model, given = fitted(drive, 0.0)
+    given['gnss.time_offset_sigma'] = 0.4
     finding = Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(model.x[0], 0.02, 's')}, 50.0,
                       1e-6, True, HeldOut(20.0, 1e-6, []))
     shown = track(1.0, arm=[ARM, 0.0, 0.0])
     trials = SimpleNamespace(library=[EFFECTS['gnss_time_offset']], origin=SimpleNamespace(given=given),
                              beside=SimpleNamespace(track=shown))
     monkeypatch.setattr(conclusion, 'by_drive_of', lambda *model_and_unknowns: ({}, False))
-    [said] = conclusion._final_findings(SimpleNamespace(model=model, findings=[finding], noise=0), {}, given, trials)
+    known = SimpleNamespace(model=model, findings=[finding], noise=0)
+    estimates = conclusion._estimates(known, trials)
+    proven = conclusion._proven_sigmas(known, estimates, trials)
+    [said] = conclusion._final_findings(known, estimates, {}, given | {'gnss.time_offset': 0.1} | proven, trials)
     further = with_what_is_held(model, shown, given)[0]
-    assert further > 0.05 and further < said.parameters['time_offset'].sigma < 1.2 * further
+    sigma = said.parameters['time_offset'].sigma
+    assert further > 0.05 and further < sigma < 1.2 * further
+    # and that is what is written beside the value, instead of the one that was given, and told with it
+    assert said.changes == {'gnss.time_offset': 0.1, 'gnss.time_offset_sigma': sigma}
+
+
+def test_a_value_that_was_not_fitted_keeps_its_sigma():
+    # given an arm that was fitted forward to 0.1 m, and is known to the left to what the file says
+    given = table.check({'gnss.lever_arm_sigma': 0.5})
+    arm = SimpleNamespace(name='gnss_lever_arm', added=True)
+    known = SimpleNamespace(findings=[arm])
+    trials = SimpleNamespace(library=list(EFFECTS.values()), origin=SimpleNamespace(given=given))
+
+    def proven(**sigmas):
+        estimates = {arm.name: {n: Estimate(1.0, s, 'm') for n, s in sigmas.items()}}
+        return conclusion._proven_sigmas(known, estimates, trials)
+
+    # then the sigma, which is of both, stays; with both it is the larger one, and what is up has none
+    assert proven(x=0.1) == {'gnss.lever_arm_sigma': 0.5}
+    assert proven(x=0.1, y=0.2, z=0.9) == proven(x=0.2, y=0.1) == {'gnss.lever_arm_sigma': 0.2}
+    assert proven(z=0.9) == {}
+    arm.added = False
+    assert proven(x=0.1, y=0.2) == {}
 
 
 def test_an_effect_is_plain_with_what_is_held_unless_it_shows_for_certain_without_a_filter(drive, monkeypatch):

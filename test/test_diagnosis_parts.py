@@ -185,7 +185,7 @@ def test_the_search_uses_standstills_only_where_they_can_be_told_from_motion(lat
     asked = []
     monkeypatch.setattr(TrialRuns, '_measured', lambda trials, models, use: asked.append((use, *models)))
     given = table.check({})
-    trials = TrialRuns((late,), Drives([Problem(late, given)]), (), (10.0,), 30.0, lambda *said: None, 0.0)
+    trials = TrialRuns((late,), Drives([Problem(late, given)]), (), (10.0,), 30.0, lambda *said: None)
     # when filters are tried for a decision on effects, for the report, and for the choice of noise levels
     trials.errors([given])
     trials.errors([given], full=True)
@@ -202,7 +202,7 @@ def test_the_search_uses_standstills_only_where_they_can_be_told_from_motion(lat
 
 def test_standstills_are_tried_where_a_file_does_without(late):
     trials = TrialRuns((late,), Drives([Problem(late, table.check({'vehicle.zero_velocity': False}))]), (), (10.0,),
-                       30.0, lambda *said: None, 0.0)
+                       30.0, lambda *said: None)
     assert 'vehicle.zero_velocity' in trials.switches
 
 

@@ -13,6 +13,7 @@ from scipy.stats import chi2, ttest_1samp
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
 from mems_ins_fusion.diagnosis import judging
 from mems_ins_fusion.diagnosis.conclusion import (
+    NOT_EACH,
     PREDICTS_WORSE,
     Correction,
     Tried,
@@ -47,7 +48,7 @@ from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.metrics import Errors
 from mems_ins_fusion.evaluation.outages import Outages
-from mems_ins_fusion.evaluation.verdict import Verdict
+from mems_ins_fusion.evaluation.verdict import Verdict, change_in_outages
 from mems_ins_fusion.parameters import table
 
 N = 400
@@ -578,6 +579,27 @@ def test_what_corrected_yaml_holds(answers, gain, chosen):
     correction, _, verdict, _, _ = _chosen(tried, one, {})
     assert correction is tried[chosen][0].correction
     assert verdict.answer == answers[0 if chosen == 2 else chosen]  # or that on the best of what was tried
+
+
+@pytest.mark.parametrize('first, second, named', [
+    # the best predictions, and the next, with errors of so many m instead of one: what is named has smaller ones
+    (0.9, 0.8, 0), (1.2, 0.8, 1), (1.2, 1.1, 0)])
+def test_where_parameters_stay_what_is_named_makes_sense(first, second, named):
+    given, one = table.check({}), outages_with(1.0)
+    setting, noise = {**given, 'imu.adapt_noise': False}, {**given, 'gnss.sigma': 2.0}
+    kept = Correction(given, [given], {}, False)
+
+    def verdict(scale, answer='cannot_tell'):
+        return Verdict(answer, (change_in_outages(30.0, np.ones(9), np.full(9, scale), 9),))
+    # given that neither is proven
+    tried = [(Tried(Correction(setting, [setting], {}, False, beside=(kept,)), one, (one,)), verdict(first)),
+             (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,)), one, (one,)),
+              verdict(second)), (Tried(kept, one), Verdict('same'))]
+    correction, _, said, about, _ = _chosen(tried, one, {})
+    assert correction is kept and about is tried[named][0] and said == tried[named][1]
+    # and where errors are smaller with it for certain, but a part of it is not proven, it is not said to be better
+    tried[named] = tried[named][0], verdict((first, second)[named], 'better')
+    assert _chosen(tried, one, {})[2] == Verdict('cannot_tell', tried[named][1].changes, why=(NOT_EACH,))
 
 
 def test_smaller_errors_go_before_better_predictions():

@@ -175,7 +175,7 @@ def test_what_the_track_shows_for_certain_is_told_even_where_held_out_data_do_no
     for certain in ((), ('gnss_time_offset',)):
         trials = SimpleNamespace(library=[], origin=SimpleNamespace(given={}), beside=SimpleNamespace(track=None),
                                  certain=certain)
-        said[certain] = _final_findings(SimpleNamespace(model=model, findings=[told]), {}, {}, trials)
+        said[certain] = _final_findings(SimpleNamespace(model=model, findings=[told]), {told.name: {}}, {}, {}, trials)
     # then it is told only where the checker tells it, too
     assert not said[()] and [finding.name for finding in said['gnss_time_offset',]] == ['gnss_time_offset']
 
@@ -216,7 +216,7 @@ def test_a_scale_of_the_gyroscopes_that_the_course_contradicts_is_none(late):
     # given gyroscopes that turn as far as the course does, as a bench sees it
     problem = Problem(late, table.check({TIME_OFFSET: OFFSET}))
     track = Offset(OFFSET, 0.02, np.zeros(3), np.ones(3), 0.01, 0.05)
-    given = (10.0,), 30.0, lambda part, what: None, 0.0, {}, Shown(track)
+    given = (10.0,), 30.0, lambda part, what: None, {}, Shown(track)
     shown = TrialRuns((late,), Drives([problem]), (), *given).shown
     turned = shown['gyroscope_scale.z']
     # an offset that is in the parameters is none that has to be tried first; one that is not, is

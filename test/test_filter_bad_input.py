@@ -66,9 +66,45 @@ def test_an_imu_sample_that_is_not_a_number_is_dropped(fusion, index, bad):
     assert fusion.add_imu(now(fusion) + 20_000_000, *FORCE, *TURN)
 
 
+def test_lines_about_numbers_that_no_sensor_sends_stay_short(fusion):
+    fusion.add_imu(now(fusion) + 20_000_000, 0.1234567890123, 1e300, math.nan, *TURN)
+    fusion.add_fix(now(fusion), 1e300, *FIX[1:], COVARIANCE)
+    assert all(len(text) < 130 for _, text in said(fusion))
+
+
+#: samples of each input in the units of the filter, as they are measured at rest
+AT_REST = {'speed': (0.0, 0.01), 'velocity': (np.zeros(3), 0.01 * np.eye(3)), 'heading': (0.0, 0.01),
+           'twist': (np.zeros(3), np.full(3, 0.01)), 'pressure': (95700.0, 25.0),
+           'magnetometer': (np.array([0.0, 2e-5, -4e-5]), 1e-14)}
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('number', [0, 1])
+@pytest.mark.parametrize('name', AT_REST)
+@pytest.mark.parametrize('absurd', [1e300, -1e300, math.nan, math.inf, 5e-324])
+def test_no_number_of_an_input_makes_the_state_none(name, number, absurd):
+    # given a filter at rest that hears one more input
+    made = FusionFilter(configure({'alignment.heading': 'parameter', f'{name}_topic': '/one'},
+                                  mechanization='strapdown'))
+    for k in range(8 * RATE):
+        stamp = BEGIN + k * SECOND // RATE
+        made.add_imu(stamp, *FORCE, *TURN)
+        if k % RATE == 5:
+            made.add_fix(stamp, *FIX, COVARIANCE)
+        if k % 10 == 0:
+            numbers = [np.copy(one) for one in AT_REST[name]]
+            if k > 5 * RATE:  # when its value, or its variance, is not that of a sensor
+                numbers[number] = np.where(numbers[number] == 0.0, numbers[number], absurd) if number else \
+                    np.full_like(numbers[number], absurd)
+            made.add(name, stamp, *numbers)
+    # then it is refused, or weighs nothing, or its default counts
+    assert made.state in ('fusing', 'degraded') and np.isfinite(made.odometry).all()
+    assert not any('finite' in text for _, text in said(made))
+
+
 def test_a_fix_without_fix_status_is_dropped(fusion):
     fusion.add_fix(now(fusion), *FIX, COVARIANCE, status=-1)
-    assert said(fusion) == [('warning', '/gps/fix: status -1: no fix')]
+    assert said(fusion) == [('warning', '/gps/fix: no fix, by its status')]
 
 
 @pytest.mark.parametrize('bad', [math.nan, math.inf])
@@ -88,7 +124,7 @@ def test_a_fix_that_is_not_on_earth_is_dropped(fusion, latitude, longitude):
     fusion.add_fix(now(fusion), math.radians(latitude), math.radians(longitude), 480.0, COVARIANCE)
     (level, text), = said(fusion)
     assert level == 'warning'
-    assert text == (f'/gps/fix: latitude {latitude:.6f}, longitude {longitude:.6f} deg is not on earth: fix dropped')
+    assert text == (f'/gps/fix: latitude {latitude:g}, longitude {longitude:g} deg is not on earth: fix dropped')
 
 
 @pytest.mark.parametrize(('covariance', 'kind'), [

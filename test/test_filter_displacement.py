@@ -265,8 +265,8 @@ def test_a_speed_that_begins_to_scatter_is_used_with_that_noise(scatter):
         # then it costs nothing beside a filter without it, it is not refused, and neither is what is near by chance
         # taken for exact: the ellipse holds
         assert rms(off) < 1.1 * rms(without)
-        record = result.measured.record[result.measured.kind == Kind.SPEED]
-        assert (record[-800:, Event.VERDICT] == Verdict.REFUSED).mean() < 0.05
+        event = result.measured.event[result.measured.kind == Kind.SPEED]
+        assert (event[-800:, Event.VERDICT] == Verdict.REFUSED).mean() < 0.05
         truth = truth_of(recording, config('speed').parameters)
         errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
         assert np.mean(errors.nees < NEES_95) > 0.93

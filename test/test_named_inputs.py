@@ -170,7 +170,7 @@ def test_live_and_replay_give_the_same_bits_and_each_has_its_tally():
     same_bits(replayed, lived(fusion, recording, 'speed', 'rear', 'left', 'right', 'roof'), 2000)
     health = fusion.health()
     assert all(health[f'{name} used'] > 100 for name in ('rear', 'left', 'right', 'roof', 'speed'))
-    assert health['right refused, speed # m/s: dropped'] > 100 and 'left refused, speed # m/s: dropped' not in health
+    assert health['right refused, speed .. m/s: dropped'] > 100 and 'left refused, speed .. m/s: dropped' not in health
     assert any('/right refused' in reason for reason in fusion.reasons)
 
 

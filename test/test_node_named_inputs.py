@@ -72,7 +72,7 @@ def test_each_named_input_is_used_and_has_its_own_status(recording, peer):
                 k += 1
         # then the second receiver is well, with its own numbers, while the wheel says why it is not
         heard.wait(lambda d: d.level('rear') == 0 and d.level('left') > 0
-                   and 'speed # m/s: dropped' in d.message('left'))
+                   and 'speed nan m/s: dropped' in d.message('left'))
         assert heard.values('rear')['topic'] == '/rear/fix'
         assert float(heard.values('rear')['realised over claimed']) < 2.5
         assert 'delay, s' in heard.values('rear') and 'rate, Hz' in heard.values('rear')

@@ -136,6 +136,19 @@ def test_of_a_slow_robot_no_share_of_the_dynamic_pressure_is_told(vertical, tmp_
     assert found['pressure_topic'] and 'pressure.dynamic' not in found
 
 
+@pytest.mark.filterwarnings('error')
+def test_pressures_that_are_none_show_no_share():
+    # given some messages with numbers that no air has
+    recording = made()
+    pressure = recording.others['pressure']
+    spoiled = pressure.pressure.copy()
+    spoiled[::20], spoiled[7::40], spoiled[11::40] = -1e300, np.nan, 0.0
+    # then what is shown is what the others show
+    others = pressure.select(spoiled == pressure.pressure)
+    assert estimate_dynamic_pressure(replace(pressure, pressure=spoiled), recording.gnss) == (
+        estimate_dynamic_pressure(others, recording.gnss))
+
+
 def test_a_window_that_opens_is_not_taken_for_a_climb():
     # given 3 hPa less for five seconds, 25 m
     recording = made()

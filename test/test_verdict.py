@@ -176,6 +176,10 @@ def test_a_headline_does_not_contradict_the_file():
         # nor is something said to be found where only noise levels were tried
         assert ' with other noise levels, in 30 s' in headline(kept, tried='other noise levels')
         assert 'found' not in headline(kept, tried='other noise levels')
+    # nothing is named with which errors are larger by chance, or the same
+    for kept in (decide([chance.turned]), decide([change_in_outages(30.0, *2 * [np.arange(20.0) + 5.0], 20)])):
+        assert kept.answer in (SAME, CANNOT_TELL) and not kept.shown.smaller
+        assert headline(kept) == 'Keep your parameters: nothing that was tried makes errors smaller.'
 
 
 def test_what_is_certainly_wrong_makes_a_recording_not_usable():

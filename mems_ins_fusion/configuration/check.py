@@ -19,7 +19,7 @@ from mems_ins_fusion.filter.measurements.registry import MEASUREMENTS, aiding
 from mems_ins_fusion.filter.memory import Kind
 from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
 from mems_ins_fusion.navigation.earth import gravity
-from mems_ins_fusion.navigation.frames import rotation_from_rpy
+from mems_ins_fusion.navigation.frames import ANGLE_DIGITS, rotation_from_rpy
 from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.motion import find_standstill, without_turns
@@ -295,7 +295,7 @@ def _compare(found: Mounting, values: dict) -> list[Remark]:
         [_yaw_in_words(yaw, float(found.sigma[2]))] if turned else [])
     known = '' if found.yaw_known else ' (yaw 0: too few turns and changes of speed to see it)'
     words = ' and '.join(reversed(words))  # backwards, and tilted
-    advice = f'set imu.mounting_rpy to {yaml_value([round(float(angle), 4) for angle in found.rpy])}{known}'
+    advice = f'set imu.mounting_rpy to {yaml_value([round(float(angle), ANGLE_DIGITS) for angle in found.rpy])}{known}'
     # without the constraint a vehicle may drive sideways
     wrong_way = turned and abs(yaw) > LARGE and values['vehicle.non_holonomic'] and not _may_reverse(found, yaw)
     severity = ERROR if (tilted and tilt > LARGE) or wrong_way else WARNING
@@ -315,14 +315,14 @@ def _may_reverse(found: Mounting, yaw: float) -> bool:
 def _tilt_in_words(tilt, sigma) -> str:
     degrees = f'{math.degrees(tilt):.0f} +- {math.degrees(sigma):.1f} deg'
     if tilt > math.radians(150.0):
-        return 'upside down'
+        return f'upside down ({degrees} off level)'
     if tilt > math.radians(60.0):
         return f'on its side ({degrees} off level)'
     return f'tilted by {degrees}'
 
 
 def _yaw_in_words(yaw, sigma) -> str:
+    degrees = f'{abs(math.degrees(yaw)):.0f} +- {math.degrees(sigma):.1f} deg'
     if abs(yaw) > _BACKWARDS:
-        return 'backwards'
-    side = 'left' if yaw > 0 else 'right'
-    return f'turned to the {side} by {abs(math.degrees(yaw)):.0f} +- {math.degrees(sigma):.1f} deg'
+        return f'backwards (turned by {degrees})'
+    return f'turned to the {"left" if yaw > 0 else "right"} by {degrees}'

@@ -51,7 +51,7 @@ class Drive:
     noise: Noise | None
     receiver: Receiver | None
     vehicle: Vehicle
-    findings: tuple[Remark, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     inputs: tuple[InputShown | LeftOut, ...] = ()
 
 
@@ -159,14 +159,14 @@ def look(path, imu: ImuSamples, fixes: Fixes | None, others: Mapping[str, Mappin
     gravity = float(gravity_at(good.latitude[0], good.height[0])) if good is not None else STANDARD_GRAVITY
     units = find_units(imu, good, gravity)
     imu = in_si(imu, units.acceleration, units.rate)
-    findings = check_recording(Recording(name, in_si(whole, units.acceleration, units.rate), fixes))
+    remarks = check_recording(Recording(name, in_si(whole, units.acceleration, units.rate), fixes))
     still = without_turns(find_standstill(imu, good), imu)
     found = estimate_mounting(imu, good, gravity)
     receiver = assess_receiver(good, imu, still, found) if good is not None else None
     noise = receiver.realised if receiver is not None else None
     vehicle = assess_vehicle(imu, still, found, noise or 1.0, good)
     return Drive(name, imu, good, still, seconds, units, found, find_noise(imu, still), receiver, vehicle,
-                 tuple(finding for finding in findings if finding.severity != INFO),
+                 tuple(remark for remark in remarks if remark.severity != INFO),
                  (*shown_inputs(others, receivers, imu, good, still, found),
                   *further_imus(imus, imu, good, gravity)))
 
@@ -208,7 +208,7 @@ def _missing(topics, drives, mounting):
 def _wrong(topics, drives):
     """What is wrong with the recordings, each once."""
     names = {part: found[0].topic for part, found in (('imu', topics.imu), ('gnss', topics.gnss)) if found}
-    said = [checked_text(finding, names) for drive in drives for finding in drive.findings]
+    said = [checked_text(remark, names) for drive in drives for remark in drive.remarks]
     units = {(drive.units.acceleration, drive.units.rate) for drive in drives}
     if len(units) > 1:
         said.append('the recordings are in different units; those of the first are written')

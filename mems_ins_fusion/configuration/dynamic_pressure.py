@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mems_ins_fusion.configuration.regression import blocks, jackknife
-from mems_ins_fusion.filter.measurements.pressure import height_of
+from mems_ins_fusion.filter.measurements.pressure import height_of, is_air
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import positions
 from mems_ins_fusion.samples import Fixes, Pressures, in_time_order
@@ -42,7 +42,7 @@ class DynamicPressure:
 
 def estimate_dynamic_pressure(pressures: Pressures, fixes: Fixes) -> DynamicPressure | None:
     """What `pressures` (Pa) and usable `fixes` in the order of their stamps show; None with too few of them."""
-    good = in_time_order(pressures.stamp, np.isfinite(pressures.pressure))
+    good = in_time_order(pressures.stamp, is_air(pressures.pressure))
     if len(good) < _FEWEST or len(fixes) < _FEWEST:
         return None
     time, at = ((samples - fixes.stamp[0]) * 1e-9 for samples in (pressures.stamp[good], fixes.stamp))

@@ -23,7 +23,7 @@ from mems_ins_fusion.configuration.track import Track
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import find_standstill, integral
 from mems_ins_fusion.recordings.remarks import SURE
-from mems_ins_fusion.samples import ImuSamples, Speeds, in_time_order
+from mems_ins_fusion.samples import ImuSamples, Speeds, in_time_order, possible
 
 #: s: an offset with a larger standard deviation is not known
 SHOWN = 0.1
@@ -296,7 +296,7 @@ class _Pieces:
 
 def _pieces(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> _Pieces | None:
     """The pieces of the drive in which there are samples and the speed changes; None with too few."""
-    good = in_time_order(speeds.stamp, np.isfinite(speeds.speed))
+    good = in_time_order(speeds.stamp, possible(speeds.speed))
     if len(good) < FEWEST_PIECES * _FEWEST or len(imu) < 100:
         return None
     origin = int(imu.stamp[0])

@@ -18,7 +18,7 @@ from mems_ins_fusion.configuration.regression import BLOCKS, jackknife, shares
 from mems_ins_fusion.configuration.speed_offset import LowPass
 from mems_ins_fusion.configuration.track import through_low_pass
 from mems_ins_fusion.recordings.motion import integral
-from mems_ins_fusion.samples import Headings, ImuSamples, Twists, in_time_order
+from mems_ins_fusion.samples import Headings, ImuSamples, Twists, in_time_order, possible
 
 #: s, step of the grid of offsets
 _STEP = 0.02
@@ -55,7 +55,7 @@ def estimate_turn_offset(imu: ImuSamples, twists: Twists, up: np.ndarray, enough
     up: (3,) the up axis of base_link, in sensor axes. enough: no low pass is searched where the correlation without one
     is larger (absolute value): the search takes twice the time of all else.
     """
-    good = in_time_order(twists.stamp, np.isfinite(twists.twist[:, 2]))
+    good = in_time_order(twists.stamp, possible(twists.twist[:, 2]))
     if len(good) < _FEWEST or len(imu) < _FEWEST:
         return None
     origin = int(imu.stamp[0])
@@ -103,7 +103,7 @@ def _with_low_pass(lags: np.ndarray, correlations: np.ndarray) -> tuple[np.ndarr
 
 def turning_of(headings: Headings) -> Twists:
     """The turn rate that `headings` show, each between two of them."""
-    good = in_time_order(headings.stamp, np.isfinite(headings.yaw))
+    good = in_time_order(headings.stamp, possible(headings.yaw))
     step = np.diff(headings.stamp[good])
     turn = np.diff(np.unwrap(headings.yaw[good])) / (step * 1e-9)
     middle, nothing = headings.stamp[good][:-1] + step // 2, np.full(len(turn), np.nan)

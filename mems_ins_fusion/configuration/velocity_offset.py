@@ -14,7 +14,7 @@ import numpy as np
 from mems_ins_fusion.configuration.offset import FLOOR, LARGEST
 from mems_ins_fusion.configuration.regression import BLOCKS, jackknife, shares
 from mems_ins_fusion.recordings.motion import integral, positions
-from mems_ins_fusion.samples import Fixes, Velocities, in_time_order
+from mems_ins_fusion.samples import Fixes, Velocities, in_time_order, possible
 
 #: s, step of the grid of offsets
 _STEP = 0.05
@@ -36,7 +36,7 @@ class VelocityOffset:
 
 def estimate_velocity_offset(velocities: Velocities, fixes: Fixes) -> VelocityOffset | None:
     """Estimate from usable `fixes`, in the order of their stamps, and `velocities`; None with too few of either."""
-    good = in_time_order(velocities.stamp, np.isfinite(velocities.velocity[:, :2]).all(axis=1))
+    good = in_time_order(velocities.stamp, possible(velocities.velocity[:, :2]))
     if len(good) < _FEWEST or len(fixes) < _FEWEST:
         return None
     origin = fixes.stamp[0]

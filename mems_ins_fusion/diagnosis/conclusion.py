@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..evaluation.verdict import BETTER, WORSE, Verdict
+from ..effects.base import Effect
+from ..evaluation.verdict import BETTER, CANNOT_TELL, WORSE, Verdict
 from . import learned_mounting
 from .detection import detect
 from .drives import Drives, part
@@ -40,6 +41,8 @@ MOUNTING = 'mounting_rotation'
 NO_PROOF = 'no smaller error is proven with it'
 #: the same, if predictions are certainly worse with it
 PREDICTS_WORSE = 'errors and sigmas together predict positions less well with it'
+#: why parameters stay although all changes together make errors smaller
+NOT_EACH = 'not each change is proven by itself'
 #: remarks on boolean settings, by the value with which positions are predicted better than with the given one
 _SWITCHED = {
     'imu.adapt_noise': {
@@ -91,7 +94,8 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
     fitted = _with_noise_levels(configured, trials)
     ran = _fixes_while_running(configured, trials)
     # errors are measured with filters fitted to a part; the filter of corrected.yaml has to run, too
-    corrections = [option for option in _options(known, fitted, configured, trials)
+    estimates = _estimates(known, trials)
+    corrections = [option for option in _options(known, estimates, fitted, configured, trials)
                    if _fixes_while_running(option, trials) >= RUNS * ran]
     trials.tell(MEASURING, 'measuring errors')
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
@@ -106,7 +110,7 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
         (tuple(_only_told(f, against) for f in option.settings) for option in corrections if option.settings), ())
     hidden = _not_shown(known, direct)
     # a finding is added only where corrected.yaml holds it
-    findings = _final_findings(known, hidden, correction.values, trials)
+    findings = _final_findings(known, estimates, hidden, correction.values, trials)
     findings = [*(findings if correction.effects else (
         replace(_only_told(f, against), parameters=trials.told(f.name, f.parameters)) for f in findings)),
                 *direct]
@@ -155,7 +159,7 @@ def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
     worse; else the given parameters.
 
     Returns the correction, its errors, the verdict, what this is about (the correction, or if the given parameters
-    stay, the best one tried), and what speaks against the effects that are left out.
+    stay, `_alternative`), and what speaks against the effects that are left out.
     """
     against = ''
     ordered = sorted(tried[:-1], key=lambda found: (
@@ -168,8 +172,19 @@ def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
             return one.correction, one.errors, verdict, one, against or NO_PROOF
         if one.correction.effects:
             against = worse
-    (best, verdict), (kept, _) = tried[0], tried[-1]
+    best, verdict = _alternative(tried)
+    kept, _ = tried[-1]
     return kept.correction, kept.errors, verdict, best, against or NO_PROOF
+
+
+def _alternative(tried: list[tuple[Tried, Verdict]]) -> tuple[Tried, Verdict]:
+    """What to report where the given parameters stay: of what was tried, as for `_chosen`, the best predictions that
+    come with a smaller error, as a reader is told the error; else the best predictions. It is not BETTER."""
+    smaller = [found for found in tried[:-1] if found[1].shown and found[1].shown.smaller]
+    best, verdict = [*smaller, *tried][0]
+    if verdict.answer == BETTER:
+        verdict = replace(verdict, answer=CANNOT_TELL, why=(NOT_EACH,))
+    return best, verdict
 
 
 def _said(given: dict, correction: Correction) -> str:
@@ -209,11 +224,14 @@ def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]
         comparison=[row for row in whole.comparison if row.get('drive') == recording.name])
 
 
-def _options(known: Known, fitted: Correction, configured: Correction, trials: TrialRuns) -> list[Correction]:
+def _options(known: Known, estimates: dict[str, dict[str, Estimate]], fitted: Correction, configured: Correction,
+             trials: TrialRuns) -> list[Correction]:
     """Corrections to be compared: noise levels alone, effects with and without them; last the given parameters."""
     effects = configured
     if any(f.added for f in known.findings):
-        effects = Correction(known.corrected(), known.by_part(), {}, True)
+        proven = _proven_sigmas(known, estimates, trials)
+        effects = Correction({**known.corrected(), **proven}, [{**values, **proven} for values in known.by_part()], {},
+                             True)
     effects = _with_mounting(_with_settings(effects, trials), trials)
     options = [fitted]
     if effects.values != configured.values:
@@ -333,16 +351,42 @@ def _merit(measured: Measured) -> float:
     return float(np.mean([score.mean() for _, score in measured.scores() if len(score)]))
 
 
-def _final_findings(known: Known, hidden, corrected: dict, trials: TrialRuns) -> list[Finding]:
+def _estimates(known: Known, trials: TrialRuns) -> dict[str, dict[str, Estimate]]:
+    """The parameters of each finding that are in the last joint fit, by the name of its effect."""
+    model = known.model
+    sigma = sigmas(model, trials.beside.track, trials.origin.given)
+    return {finding.name: widened({
+        u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
+        for u, x, s in zip(model.unknowns, model.x, sigma)
+        if u.effect == finding.name and not u.noise and u.parameter in finding.parameters})
+        for finding in known.findings}
+
+
+def _proven_sigmas(known: Known, estimates: dict[str, dict[str, Estimate]], trials: TrialRuns) -> dict[str, float]:
+    """Standard deviations of the values that the added effects correct, by the parameters in which they stand. A value
+    that was not fitted keeps the given one."""
+    given, found = trials.origin.given, {}
+    added = {f.name for f in known.findings if f.added}
+    for effect in (e for e in trials.library if e.name in added and any(n in estimates[e.name] for n in _stated(e))):
+        for name, parameter in _stated(effect).items():
+            estimate = estimates[effect.name].get(name)
+            sigma = given[parameter] if estimate is None else estimate.sigma
+            found[parameter] = max(found.get(parameter, 0.0), sigma)
+    return found
+
+
+def _stated(effect: Effect) -> dict[str, str]:
+    """The parameters of `effect` whose standard deviation is a parameter of the YAML, with its name."""
+    return {p.name: p.sigma_in for p in effect.traced if p.sigma_in}
+
+
+def _final_findings(known: Known, estimates: dict[str, dict[str, Estimate]], hidden, corrected: dict,
+                    trials: TrialRuns) -> list[Finding]:
     """All findings with the estimates of the last joint fit, and what each has changed in `corrected`."""
     model, found = known.model, []
     effects, given = {e.name: e for e in trials.library}, trials.origin.given
-    sigma = sigmas(model, trials.beside.track, given)
     for finding in known.findings:
-        own = widened({u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
-                       for u, x, s in zip(model.unknowns, model.x, sigma)
-                       if u.effect == finding.name and not u.noise and u.parameter in finding.parameters})
-        parameters = finding.parameters
+        own, parameters = estimates[finding.name], finding.parameters
         if finding.added and own:
             parameters = {n: own.get(n, e) for n, e in parameters.items() if n in own or e.sigma is None}
         parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
@@ -360,7 +404,9 @@ def _final_findings(known: Known, hidden, corrected: dict, trials: TrialRuns) ->
             theta |= {u.parameter: u.meant(x, 0.0)[0] for u, x in zip(model.unknowns, model.x)
                       if u.effect == finding.name and not u.noise}
             moved = effect.adjusted(given, theta)
-            changes = {n: corrected[n] for n in given if moved[n] != given[n]}
+            stated = _stated(effects[finding.name]).values()
+            changes = {n: corrected[n] for n in given
+                       if moved[n] != given[n] or n in stated and corrected[n] != given[n]}
             own = [i for i, u in enumerate(model.unknowns) if u.effect == finding.name and not u.noise]
             finding = replace(finding, drives=by_drive_of(model, effect, known.noise, own)[0])
         found.append(replace(finding, parameters=parameters, changes=changes))

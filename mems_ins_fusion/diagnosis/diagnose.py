@@ -62,7 +62,7 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
                 for name, one in shown.low_passes.items()},
              **{effect.name: [{'share': 1.0}] for effect in library if isinstance(effect, SeveralTimeOffsets)}}
     trials = TrialRuns(tuple(thinned), Drives(found), library, tuple(durations), spacing, tell,
-                       values['gnss.time_offset_sigma'], sizes, shown, working=lambda: progress(*told))
+                       sizes, shown, working=lambda: progress(*told))
     first = begin(trials)
     known = with_other_mechanization(first, trials)
     for _ in range(MOST_ROUNDS):

@@ -120,9 +120,9 @@ class Problem:
     def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL,
                  others: Sequence[dict] = ()):
         self.reference_clock, self.others = GNSS if recording.reference is None else IMU, tuple(others)
-        self.given = {**values, **exact_offsets(values)}
+        self.given = values
         self.values = without_adaptation(values, recording)
-        given = FilterConfig.from_parameters(self.given)
+        given = FilterConfig.from_parameters({**values, **exact_offsets(values)})
         keep = samples_to_keep(recording.imu, recording.imu.stamp[:_ALIGNING])
         first = run(given, recording.imu, recording.gnss, aiding_of(recording), keep=keep)
         if not len(first.stamp):
@@ -196,8 +196,8 @@ class Problem:
         return other
 
     def observed(self, values: dict) -> Residual:
-        """The innovations of the filter with these parameters as they are, with all its adaptation."""
-        config = FilterConfig.from_parameters(values)
+        """The innovations of the filter with these parameters, with all its adaptation but exact time offsets."""
+        config = FilterConfig.from_parameters({**values, **exact_offsets(values)})
         return self.innovations(run(config, self.drive.imu, self.drive.gnss, aiding_of(self.drive),
                                      keep=np.zeros(len(self.drive.imu), dtype=bool)))
 
@@ -321,7 +321,12 @@ def without_adaptation(values: dict, recording: Recording) -> dict:
 
 def exact_offsets(values: dict) -> dict:
     """The parameters that make all time offsets exact: a filter that estimates these itself hides wrong ones."""
-    return dict.fromkeys(['gnss.time_offset_sigma', *(f'{one.name}.time_offset_sigma' for one in aiding(values))], 0.0)
+    return {'gnss.time_offset_sigma': 0.0, **exact_inputs(values)}
+
+
+def exact_inputs(values: dict) -> dict:
+    """The same for the time offsets of all inputs but the fixes."""
+    return {f'{one.name}.time_offset_sigma': 0.0 for one in aiding(values)}
 
 
 def averaged(imu: ImuSamples, rate: float) -> ImuSamples:

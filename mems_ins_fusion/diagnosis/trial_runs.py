@@ -21,7 +21,7 @@ from .estimate import Estimate
 from .folds import parts
 from .measured import Measured, measure, together
 from .outliers import without_far_off
-from .problem import Problem, on_all_cores
+from .problem import Problem, exact_inputs, on_all_cores
 from .starts import Shown
 
 #: number of IMU samples filtered for one recording, after which a search begins no further round: less than a minute on
@@ -49,9 +49,9 @@ class TrialRuns:
     """Trial runs of filters over the recordings: what errors they make.
 
     recordings: with all fixes, one for each drive of `origin`. origin: the drives with the parameters as given.
-    offset_sigma: the given gnss.time_offset_sigma; the search runs with 0. starts: by effect, further sizes from which
-    it is fitted. beside: what the recordings show without a filter. tell: called with the progress (0 to 1) and what is
-    being done. working: called between two steps of the work without a change of the progress.
+    starts: by effect, further sizes from which it is fitted. beside: what the recordings show without a filter. tell:
+    called with the progress (0 to 1) and what is being done. working: called between two steps of the work without a
+    change of the progress.
     """
 
     recordings: tuple[Recording, ...]
@@ -60,7 +60,6 @@ class TrialRuns:
     durations: tuple[float, ...]
     spacing: float
     tell: Progress
-    offset_sigma: float
     starts: dict[str, list[dict[str, float]]] = field(default_factory=dict)
     beside: Shown = Shown()
     working: Callable[[], None] = lambda: None
@@ -182,7 +181,7 @@ class TrialRuns:
         return found
 
     def _kept(self, models: list[dict], use: str) -> Measured:
-        models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma} for values in models]
+        models = [{**values, **exact_inputs(values)} for values in models]
         asked = repr((use, [sorted(values.items()) for values in models]))
         if asked not in self.measured:
             self.measured[asked] = self._measured(models, use)

@@ -15,7 +15,8 @@ class EffectParameter:
     simulation that gives only other parameters of the effect. variance: whether the parameter is a standard deviation,
     so that the innovations depend on its square. step: change of the parameter within which the innovations are about
     linear in it; 0: a tenth of prior_scale. adds_to: parameter of the YAML to which the estimate is added to correct
-    the effect, with the index if that parameter is a list.
+    the effect, with the index if that parameter is a list. sigma_in: parameter of the YAML that holds the standard
+    deviation of that one, in the same unit; of a list it is the largest.
     """
 
     name: str
@@ -25,6 +26,7 @@ class EffectParameter:
     variance: bool = False
     step: float = 0.0
     adds_to: tuple[str] | tuple[str, int] | None = None
+    sigma_in: str = ''
 
 
 @dataclass(frozen=True)

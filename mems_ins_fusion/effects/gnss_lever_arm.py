@@ -20,7 +20,9 @@ class GnssLeverArm(Effect):
     largest = {'x': 5.0, 'y': 3.0, 'z': 3.5}
     larger_is = ('an error that turns with the vehicle: a time offset, an IMU that is turned or tilted, positions '
                  'that the receiver smooths')
-    parameters = tuple(EffectParameter(axis, 'm', 1.0, adds_to=('gnss.lever_arm', i)) for i, axis in enumerate('xyz'))
+    parameters = tuple(EffectParameter(axis, 'm', 1.0, adds_to=('gnss.lever_arm', i),
+                                       sigma_in='gnss.lever_arm_sigma' if axis in 'xy' else '')
+                       for i, axis in enumerate('xyz'))
 
     def distort_fixes(self, drive, time, position, values, rng):
         arm = np.array([values['x'], -values['y'], -values['z']])  # body, forward-right-down

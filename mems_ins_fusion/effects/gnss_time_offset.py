@@ -17,7 +17,8 @@ class GnssTimeOffset(Effect):
     largest = {'time_offset': 2.0}
     larger_is = ('stamps of another clock (UTC and GPS time, a clock that was set), or positions that the receiver '
                  'smooths')
-    parameters = (EffectParameter('time_offset', 's', 0.1, adds_to=('gnss.time_offset',)),)
+    parameters = (EffectParameter('time_offset', 's', 0.1, adds_to=('gnss.time_offset',),
+                                  sigma_in='gnss.time_offset_sigma'),)
 
     def fix_times(self, time, values):
         return time - values['time_offset']

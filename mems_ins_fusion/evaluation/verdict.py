@@ -80,6 +80,11 @@ class Change:
             return 0
         return int(interval[0] > 0) - int(interval[1] < 0)
 
+    @property
+    def smaller(self) -> bool:
+        """Whether the error is smaller after, certain or not."""
+        return self.after < self.before
+
     def alike(self, level: float = LEVEL) -> bool:
         """Whether the confidence interval excludes a difference that matters (ALIKE)."""
         interval = self.interval(level)

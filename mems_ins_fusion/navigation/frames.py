@@ -9,6 +9,8 @@ import math
 
 import numpy as np
 
+#: decimals of an angle, rad, in a line to set: 0.03 deg, less than any recording shows
+ANGLE_DIGITS = 3
 #: converts a vector from forward-left-up to forward-right-down axes, and back
 FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
 

@@ -24,6 +24,7 @@ from mems_ins_fusion.recordings.motion import (
 )
 from mems_ins_fusion.recordings.remarks import ERROR, INFO, SURE, WARNING, Remark, count_of
 from mems_ins_fusion.samples import (
+    MOST,
     Fixes,
     Headings,
     MagneticFields,
@@ -32,6 +33,7 @@ from mems_ins_fusion.samples import (
     Twists,
     Velocities,
     in_time_order,
+    possible,
 )
 
 #: Pa in each unit of pressure
@@ -300,7 +302,7 @@ def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Remark
 
 def magnetic_factor(fields: MagneticFields) -> float | None:
     """Factor that converts `fields` to T; None if no unit fits."""
-    size = np.linalg.norm(fields.field[np.isfinite(fields.field).all(axis=1)], axis=1)
+    size = np.linalg.norm(fields.field[possible(fields.field)], axis=1)
     unit = _field_unit(float(np.median(size))) if len(size) else None
     return None if unit is None else FIELDS[unit]
 
@@ -319,7 +321,7 @@ def check_magnetometer(fields: MagneticFields, fixes: Fixes | None) -> Iterator[
     """Check the unit of the magnetic field, and whether it turns with the vehicle's course. fixes: valid fixes in the
     order of their stamps, or None."""
     topic = 'magnetometer'
-    size = np.linalg.norm(fields.field, axis=1)
+    size = np.linalg.norm(np.where(np.abs(fields.field) <= MOST, fields.field, np.nan), axis=1)
     yield from _check_present(topic, fields, size, fields.variance)
     middle = float(np.nanmedian(size)) if np.isfinite(size).any() else np.nan
     if not _WEAKEST <= middle <= _STRONGEST:
@@ -359,11 +361,11 @@ COMPARED = {'climb', 'horizontal', 'ratio', 'negative', 'cosine', 'offset_rad', 
 
 def _check_present(topic, samples, value, variance):
     """Remarks on messages without a value, or without a covariance."""
-    broken = ~_finite(value)
+    broken = ~_possible(value)
     if broken.any():
         count = int(broken.sum())
         yield Remark(ERROR if broken.all() else WARNING, topic, f'{count_of(count, "message")} without a {topic}, or '
-                     'not finite', {'count': count})
+                     'with an impossible one', {'count': count})
     unknown = ~broken & ~((variance > 0) & np.isfinite(variance))
     if unknown.any():
         count = int(unknown.sum())
@@ -379,7 +381,7 @@ def _compare(topic, samples, value, fixes, prepare=lambda value: value):
     chords = _chords(fixes) if fixes is not None else None
     if chords is None or len(chords.begin) < _FEWEST:
         return Remark(INFO, topic, f'too few fixes move fast enough to compare the {topic} with')
-    order = in_time_order(samples.stamp, _finite(value))
+    order = in_time_order(samples.stamp, _possible(value))
     stamp = samples.stamp[order]
     count = np.searchsorted(stamp, chords.end) - np.searchsorted(stamp, chords.begin)
     enough = count > 0
@@ -454,9 +456,9 @@ def _check_sigma(topic, unit, residual, noise, variance):
                      f'{unit}: it is too sure of itself, or late', {'stated': stated, 'scatter': scatter})
 
 
-def _finite(value) -> np.ndarray:
-    """(n,) which values are finite; of vectors (n, 3) the horizontal two, as not every receiver has a vertical one."""
-    return np.isfinite(value if value.ndim == 1 else value[:, :2].sum(axis=1))
+def _possible(value) -> np.ndarray:
+    """(n,) which values are; of vectors (n, 3) by the horizontal two, as not every receiver has a vertical one."""
+    return possible(value if value.ndim == 1 else value[:, :2])
 
 
 def _concentration(angle) -> float:

@@ -83,7 +83,7 @@ def answer(result: Configuration, bags: list[str], output: str) -> Answer:
              Step('Look at how good it is on this recording:', f'python -m mems_ins_fusion replay_node --ros-args '
                   f'--params-file {path} -p bag:={shlex.quote(bags[0])} -p output_dir:=replay'),
              Step('Drive with it:', f'python -m mems_ins_fusion fusion_node --ros-args --params-file {path}')]
-    broken = [remark for drive in result.drives for remark in drive.findings if remark.severity == ERROR]
+    broken = [remark for drive in result.drives for remark in drive.remarks if remark.severity == ERROR]
     if found is None or not found.yaw_known:
         headline = f'{name} is not complete: the recording does not show how the IMU is mounted.'
         steps = [cure(broken, bags) if broken else Step(

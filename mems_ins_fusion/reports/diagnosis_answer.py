@@ -160,8 +160,9 @@ def headline(verdict: Verdict, changed: bool = False, tried: str = 'what was fou
         return f'corrected.yaml {what_of_it}: {proof}.'
     if verdict.why:
         return f'Keep your parameters: {verdict.why[0]}; with {tried}, {proof}.'
+    if verdict.answer == SAME or verdict.answer == CANNOT_TELL and not verdict.shown.smaller:
+        return 'Keep your parameters: nothing that was tried makes errors smaller.'
     return {BETTER: f'Use corrected.yaml: {proof}.',
-            SAME: f'Keep your parameters, nothing is gained: with {tried}, {proof}.',
             WORSE: f'Keep your parameters, errors would grow: with {tried}, {proof}.',
             CANNOT_TELL: f'Keep your parameters, no gain is proven: with {tried}, {proof}.'}[verdict.answer]
 

@@ -9,6 +9,9 @@ STEP = 1e-3  # s, half the interval of the central differences in a simulation
 FASTEST = 150.0  # m/s, largest velocity that is not refused: no land vehicle is faster
 #: m/s (for a turn rate rad/s), lower limit of the standard deviation of a velocity, whatever the message states
 SMALLEST_SPEED_SIGMA = 0.001
+#: largest standard deviation of a measurement, over its default one: it weighs nothing, and in any unit its square is a
+#: number, whatever the message states
+MOST_DEFAULTS = 1e6
 
 
 def empty(kind: int, n: int) -> np.ndarray:
@@ -28,12 +31,13 @@ def refuse(reasons: dict[int, str], wrong: np.ndarray, text) -> None:
 def stated_or(variance: np.ndarray, settings, smallest: float) -> np.ndarray:
     """Variances (n,): settings.sigma where configured, else the message's where positive, else settings.default_sigma.
 
-    smallest: lower limit of the standard deviation.
+    smallest: lower limit of the standard deviation; the upper one is MOST_DEFAULTS.
     """
     if settings.sigma > 0:
         return np.full(len(variance), settings.sigma**2)
     known = np.isfinite(variance) & (variance > 0)
-    return np.where(known, np.maximum(np.where(known, variance, 1.0), smallest**2), settings.default_sigma**2)
+    limited = np.clip(np.where(known, variance, 1.0), smallest**2, (MOST_DEFAULTS * settings.default_sigma) ** 2)
+    return np.where(known, limited, settings.default_sigma**2)
 
 
 def velocity_at(drive, time: np.ndarray, arm: np.ndarray) -> np.ndarray:

@@ -136,11 +136,11 @@ def _reason(latitude: float, longitude: float, height: float, status: float) -> 
     """Why a fix has no position (`is_position`), in words."""
     degrees = math.degrees(latitude), math.degrees(longitude)
     if status < 0:
-        return f'status {status:.0f}: no fix'
+        return 'no fix, by its status'
     if not (math.isfinite(latitude) and math.isfinite(longitude) and math.isfinite(height)):
         return f'latitude, longitude, altitude {degrees[0]}, {degrees[1]}, {height}: fix dropped'
     if not is_place(latitude, longitude, 0.0):
-        return f'latitude {degrees[0]:.6f}, longitude {degrees[1]:.6f} deg is not on earth: fix dropped'
+        return f'latitude {degrees[0]:.9g}, longitude {degrees[1]:.9g} deg is not on earth: fix dropped'
     if not is_place(latitude, longitude, height):
         return f'altitude {height:g} m is outside {LOWEST:g} to {HIGHEST:g} m: fix dropped'
     return 'latitude 0, longitude 0 is what receivers send without a fix: fix dropped'

@@ -68,6 +68,11 @@ HIGHEST = 115000.0  # Pa, largest pressure: the lowest mine is 500 m below the s
 SMALLEST_SIGMA = 0.1  # Pa, lower limit of the standard deviation of a pressure, whatever the message states
 
 
+def is_air(pressure: np.ndarray) -> np.ndarray:
+    """(n,) whether `pressure` (n,), Pa, can be that of the air on land; false for NaN."""
+    return (pressure >= LOWEST) & (pressure <= HIGHEST)
+
+
 def height_of(pressure: np.ndarray) -> np.ndarray:
     """Height (n,), m, at which the standard atmosphere has `pressure` (n,), Pa."""
     return SCALE_HEIGHT * (1.0 - (pressure / SEA_LEVEL) ** EXPONENT)
@@ -122,7 +127,7 @@ class Pressure(Measurement):
         pressures = self.declared(settings, pressures)
         n, pressure = len(pressures), pressures.pressure
         r, reasons = empty(Kind.PRESSURE, n), {}
-        possible = (pressure >= LOWEST) & (pressure <= HIGHEST)
+        possible = is_air(pressure)
         refuse(reasons, ~possible, lambda i: f'pressure {pressure[i]:g} Pa is outside {LOWEST:g} to {HIGHEST:g} Pa: '
                f'dropped (a wrong {self.name}.factor?)')
         there = np.where(possible, pressure, SEA_LEVEL)

@@ -1,7 +1,6 @@
 """Checks of samples and measurements for the live filter and for whole recordings, with messages on invalid ones."""
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from functools import cache
 
@@ -15,8 +14,6 @@ from ..config import FilterConfig
 from ..memory import Event, Kind
 from ..start.start import DATUM_FIXES, first_place
 
-#: numbers in a reason; they are removed so that equal reasons are counted together
-_NUMBER = re.compile(r'[-+]?\b(?:nan|inf|\d[\d.]*(?:e[-+]?\d+)?)\b')
 #: number of samples in a row with ascending stamps that do not follow the earlier ones, after which the clock has
 #: jumped
 JUMP_COUNT = 5
@@ -139,9 +136,8 @@ class Intake:
             before = int(stamp[newest[i - 1]]) if i > 0 and newest[i - 1] >= 0 else last
             now = int(stamp[i])
             if codes[i] == NOT_FINITE:
-                f, w = values[i, :3].tolist(), values[i, 3:].tolist()
-                self.say('warning', f'{topic}: linear_acceleration ({f[0]}, {f[1]}, {f[2]}), angular_velocity '
-                                    f'({w[0]}, {w[1]}, {w[2]}): sample dropped')
+                f, w = (', '.join(f'{v:.4g}' for v in part) for part in (values[i, :3], values[i, 3:]))
+                self.say('warning', f'{topic}: linear_acceleration ({f}), angular_velocity ({w}): sample dropped')
             elif codes[i] == JUMPED:
                 self.say('warning', f'{topic}: header.stamp jumped by {(now - before) * 1e-9:+.3f} s and stays there: '
                                     'the filter aligns anew')
@@ -160,7 +156,8 @@ class Intake:
         the filter.
         """
         measurement, settings, offset = self.config.inputs[kind], self.config.settings_of(kind), self._offsets[kind]
-        events, reasons, warnings = measurement.events(settings, samples)
+        with np.errstate(over='ignore', invalid='ignore'):  # what no sensor measures is refused by its event
+            events, reasons, warnings = measurement.events(settings, samples)
         codes, late = np.zeros(len(events), dtype=np.int64), round(offset * 1e9)
         for i in reasons:
             codes[i] = NO_MEASUREMENT
@@ -182,7 +179,7 @@ class Intake:
             reasons[i] = f'header.stamp {stamp[i] * 1e-9:.6f} s came twice: second {self.name(kind)} dropped'
         for i in sorted({*reasons, *warnings}):
             if i in reasons:
-                self.refusal = _NUMBER.sub('#', reasons[i])
+                self.refusal = reasons[i]
             self.say('warning', f'{topic}: {reasons.get(i) or warnings[i]}')
         for i in np.flatnonzero((codes == STAMPED_AHEAD) | (codes == STAMPED_LATE)).tolist():
             at, now = int(stamp[i]) - late, int(newest[i])

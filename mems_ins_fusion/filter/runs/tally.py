@@ -2,8 +2,11 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 
+#: numbers in a reason, which are left out where equal reasons are counted together
+_NUMBER = re.compile(r'[-+]?\b(?:nan|inf|\d[\d.]*(?:e[-+]?\d+)?)\b')
 RECENT = 100  # number of measurements over which the NIS is averaged
 STEADY = 3  # number of measurements refused in a row from which on this is reported
 STEADY_TIME = 1.0  # s: and of a fast sensor these must have come for this long
@@ -13,8 +16,8 @@ REPORTED = 5.0  # s for which a refusal, or a faulty IMU sample, is reported. Ch
 class Tally:
     """Counts of one input. Stamps are ns.
 
-    used: number of measurements used. refused: number of measurements refused, by reason. row: number refused in a row
-    until now, from `since` to `last`; `reason`: why the last one was.
+    used: number of measurements used. refused: number of measurements refused, by reason without its numbers. row:
+    number refused in a row until now, from `since` to `last`; `reason`: why the last one was.
     """
 
     def __init__(self):
@@ -28,8 +31,9 @@ class Tally:
         self._misfit.append(misfit)
 
     def refuse(self, stamp: int, reason: str, misfit: float = math.nan) -> None:
-        """Count a refused measurement. reason: without numbers, so that equal reasons are counted together."""
-        self.refused[reason] = self.refused.get(reason, 0) + 1
+        """Count a refused measurement."""
+        counted = _NUMBER.sub('..', reason)
+        self.refused[counted] = self.refused.get(counted, 0) + 1
         self.since = stamp if self.row == 0 else self.since
         self.row, self.last, self.reason = self.row + 1, stamp, reason
         if math.isfinite(misfit):

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ...navigation.frames import FLU_TO_FRD, rotation_from_rpy
+from ...navigation.frames import ANGLE_DIGITS, FLU_TO_FRD, rotation_from_rpy
 from ..config import FilterConfig
 from ..constraints import STILL_SPEED
 from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index, newest_row, variance_factor
@@ -97,7 +97,7 @@ def found_mounting(memory: np.ndarray, config: FilterConfig) -> str:
 
     turned = FLU_TO_FRD @ Rotation.from_euler('ZY', [yaw, pitch]).as_matrix().T @ FLU_TO_FRD
     declared = rotation_from_rpy(*config.imu.mounting_rpy)
-    rpy = [round(float(angle), 4) for angle in Rotation.from_matrix(turned @ declared).as_euler('xyz')]
+    rpy = [round(float(angle), ANGLE_DIGITS) for angle in Rotation.from_matrix(turned @ declared).as_euler('xyz')]
     parts = [f'{abs(math.degrees(angle)):.1f} +- {math.degrees(s):.1f} deg {sides[angle > 0]}'
              for angle, s, sides in zip((yaw, pitch), sigmas, (('to the left', 'to the right'), ('down', 'up'))) if s]
     return (f'the vehicle points {" and ".join(parts)} of the forward axis that imu.mounting_rpy gives it; pose and '
