@@ -89,11 +89,25 @@ _NOISE = tuple((force, 0.1 * force, lasting) for lasting in (0.0, 1.0, 10.0, 100
 
 
 @dataclass(frozen=True)
+class Basis:
+    """What the sigmas of an offset rest on. information: (8, 8), of the unknowns in common, with the prior, for a noise
+    variance of 1. sigmas: (8,) of these. noise: one of _NOISE. fix_sigma: m, white noise of the fixes. own: (10,) prior
+    information on a piece's own unknowns."""
+
+    information: np.ndarray
+    sigmas: np.ndarray
+    noise: tuple[float, float, float]
+    fix_sigma: float
+    own: np.ndarray
+
+
+@dataclass(frozen=True)
 class Offset:
     """lag, lag_sigma: s, as `gnss.time_offset`. arm, arm_sigma: (3,) m, from the IMU to the antenna, forward-left-up.
     smoothing, smoothing_sigma: s^2, as `gnss.lag_per_acceleration`. rivals: s, other offsets that fit nearly as well.
     undecided: s, the part of lag_sigma that comes from other values of the smoothing that are about as likely.
     by_smoothing: for each of _SMOOTHING the lag that it leads to, s, and twice the negative log likelihood of it.
+    basis: of one drive.
     """
 
     lag: float
@@ -105,6 +119,7 @@ class Offset:
     rivals: tuple[float, ...] = ()
     undecided: float = 0.0
     by_smoothing: tuple[tuple[float, float], ...] = ()
+    basis: Basis | None = None
 
     @property
     def shown(self) -> bool:
@@ -168,7 +183,8 @@ def _estimated(pieces: _Pieces) -> Offset:
     apart = float(np.sqrt(share @ (lags - lag) ** 2))
     rivals = tuple(round(float(at), 1) for at in lags[_minima(costs) & other & (share > 0.05)])
     return Offset(lag, math.hypot(float(sigma[0]), apart, undecided, FLOOR), found.solution[1:4], sigma[1:4],
-                  pieces.smoothing, float(sigma[4]), rivals, undecided, by_smoothing)
+                  pieces.smoothing, float(sigma[4]), rivals, undecided, by_smoothing,
+                  Basis(found.normal, sigma, noise, pieces.sigma, pieces.own))
 
 
 def _undecided(by_smoothing: np.ndarray, lag: float) -> float:
@@ -188,6 +204,25 @@ def _stepped(pieces: _Pieces, lag: float, noise, steps: int = _STEPS) -> tuple[_
         change = float(np.clip(found.solution[4], -_LARGEST_CHANGE, _LARGEST_CHANGE))
         pieces = pieces.smoothed(pieces.smoothing + change)
     return pieces, lag, found
+
+
+def with_more(offset: Offset, imu: ImuSamples, fixes: Fixes, since: int) -> tuple[float, np.ndarray]:
+    """The sigmas of `offset` of one drive, of lag (s) and arm (3,) m, if it went on as `imu` and `fixes` do from
+    `since` (ns) on.
+
+    imu, fixes: of a simulated drive, sensors in axes of base_link without errors; they count with the noise that the
+    drive of `offset` has. What is no matter of samples (FLOOR, other minima) stays.
+    """
+    basis, pieces = offset.basis, _pieces(imu, fixes, np.eye(3))
+    if pieces is None:
+        return offset.lag_sigma, offset.arm_sigma
+    pieces = replace(pieces, sigma=basis.fix_sigma, own=basis.own).smoothed(offset.smoothing)
+    each = pieces._reduced(pieces._design(0.0), pieces._whitening(basis.noise)[0])[0][:, 1:, 1:]
+    middle = (pieces.time * pieces.used).sum(axis=1) / pieces.used.sum(axis=1)
+    later = each[middle >= (since - int(usable_fixes(fixes).stamp[0])) * 1e-9].sum(axis=0)
+    left = np.diag(np.linalg.inv(basis.information + later)) / np.diag(np.linalg.inv(basis.information))
+    lessened = basis.sigmas**2 * (1.0 - left)
+    return math.sqrt(offset.lag_sigma**2 - lessened[0]), np.sqrt(offset.arm_sigma**2 - lessened[1:4])
 
 
 def together(found: Sequence[Offset]) -> Offset | None:
