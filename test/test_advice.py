@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.configuration.mounting import estimate_mounting
+from mems_ins_fusion.configuration.offset import FLOOR, with_more
 from mems_ins_fusion.diagnosis.advice import SPEED, advised, driven_speed, shown
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
@@ -69,6 +70,20 @@ def test_what_a_look_gives_behind_the_manoeuvre_is_what_was_predicted(seed):
         # then the sigma behind it is the one that was predicted
         assert then < 0.8 * advice.now
         assert then == pytest.approx(advice.then, rel=0.25)
+
+
+def test_only_what_comes_from_the_begin_of_the_manoeuvre_on_lessens_a_sigma():
+    # given a drive, and one that is the same without errors
+    segments, _ = asked('a left and a right turn', 10.0, 80.0, 40.0)
+    made, exact = (simulate_recording(follow(Path(segments), 120.0, 25.0), sensors, GnssNoise(0.02)).recording
+                   for sensors in (SensorErrors(accelerometer_noise_density=[1e-2] * 3), None))
+    offset = estimate_mounting(made.imu, made.gnss).offset
+    begin, middle, end = (int(exact.gnss.stamp[k]) for k in (0, len(exact.gnss) // 2, -1))
+    sigmas = [np.r_[with_more(offset, exact.imu, exact.gnss, since)] for since in (begin, middle, end)]
+    # then all of it counts as a second drive, half of it less, and nothing of it not at all; the floor stays
+    assert sigmas[2] == pytest.approx(np.r_[offset.lag_sigma, offset.arm_sigma])
+    assert (sigmas[0] < sigmas[1]).all() and (sigmas[1] < sigmas[2]).all() and sigmas[0][0] > FLOOR
+    assert sigmas[0][1:3] == pytest.approx(sigmas[2][1:3] / np.sqrt(2.0), rel=0.15)
 
 
 def finding(name, **sigmas):
