@@ -23,14 +23,14 @@ from ros_support import PATIENCE, PLAYABLE, Diagnostics, NodeProcess, Peer, Play
 
 from mems_ins_fusion.simulation.drive import simulate_drive  # noqa: E402
 from mems_ins_fusion.simulation.simulation import (  # noqa: E402
-    Aiding,
+    SimulatedAiding,
     GnssNoise,
     SensorErrors,
     simulate_recording,
 )
 
 INPUTS = 'speed', 'velocity', 'heading', 'pressure', 'twist', 'magnetometer'
-RATES = Aiding(**{f'{name}_rate': 5.0 for name in INPUTS})
+RATES = SimulatedAiding(**{f'{name}_rate': 5.0 for name in INPUTS})
 REALS = (float('nan'), float('inf'), -float('inf'), 0.0, -0.0, 1e300, -1e300, 1e155, 5e-324, 1e18, -1.0, 9.81, 90.0,
          1e5, -400.0)
 WORDS = '', ' ', '/', '\u00e4\u00f6\n', 'x' * 100_000, '%s', '{0}', '../..'

@@ -6,16 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mems_ins_fusion.diagnosis.advice import advised, shown
+from mems_ins_fusion.configuration.mounting import estimate_mounting
+from mems_ins_fusion.configuration.offset import FLOOR, with_more
+from mems_ins_fusion.diagnosis.advice import SPEED, advised, driven_speed, shown
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.diagnosis.tracing import effect_unknowns
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.manoeuvres import ASKED, asked
-from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_recording
+from mems_ins_fusion.simulation.drive import Path, follow, simulate_drive
+from mems_ins_fusion.simulation.manoeuvres import ASKED, Segment, asked
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
 
 VALUES = table.check({})
 
@@ -36,6 +38,54 @@ def test_what_no_manoeuvre_lessens_stays():
     assert whole is None
 
 
+def looked_at(recording):
+    """What looks say of offset and antenna, as findings."""
+    mounting = estimate_mounting(recording.imu, recording.gnss)
+    sigmas = dict(zip(('time_offset', *'xyz'), (mounting.offset.lag_sigma, *mounting.offset.arm_sigma)))
+    units = {'time_offset': 's', 'x': 'm', 'y': 'm'}
+    late, arm = ({n: (sigmas[n], units[n]) for n in names} for names in (('time_offset',), 'xy'))
+    return [replace(one, direct=True, since=int(recording.imu.stamp[0])) for one in (
+        finding('gnss_time_offset', **late), finding('gnss_lever_arm', **arm))]
+
+
+@pytest.mark.parametrize('seed', [1, 3])
+def test_what_a_look_gives_behind_the_manoeuvre_is_what_was_predicted(seed):
+    # given an IMU with a tenth of the noise that the parameters say, in a vehicle that has driven off and once round a
+    # corner, and goes on with the manoeuvre of the advice
+    quiet = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[3e-5] * 3)
+    speed = 10.0
+    before = asked('driving straight on', speed, 80.0, 10.0)
+
+    def driven_on(name):
+        segments, begin = asked(name, speed, 80.0, 40.0)
+        return simulate_recording(follow(Path(segments), begin + 40.0, 50.0), quiet, GnssNoise(0.02), seed=seed
+                                  ).recording, begin
+    seen, begin = driven_on('driving straight on')
+    end = seen.imu.stamp[0] + round(before[1] * 1e9)
+    seen = seen.having({name: samples.select(samples.stamp <= end) for name, samples in seen.streams().items()})
+    for one, another in zip(looked_at(seen), (0, 1)):
+        advice = advised(one, seen, VALUES)
+        behind, _ = driven_on(advice.manoeuvre)
+        then = looked_at(behind)[another].parameters[advice.parameter].sigma
+        # then the sigma behind it is the one that was predicted
+        assert then < 0.8 * advice.now
+        assert then == pytest.approx(advice.then, rel=0.25)
+
+
+def test_only_what_comes_from_the_begin_of_the_manoeuvre_on_lessens_a_sigma():
+    # given a drive, and one that is the same without errors
+    segments, _ = asked('a left and a right turn', 10.0, 80.0, 40.0)
+    made, exact = (simulate_recording(follow(Path(segments), 120.0, 25.0), sensors, GnssNoise(0.02)).recording
+                   for sensors in (SensorErrors(accelerometer_noise_density=[1e-2] * 3), None))
+    offset = estimate_mounting(made.imu, made.gnss).offset
+    begin, middle, end = (int(exact.gnss.stamp[k]) for k in (0, len(exact.gnss) // 2, -1))
+    sigmas = [np.r_[with_more(offset, exact.imu, exact.gnss, since)] for since in (begin, middle, end)]
+    # then all of it counts as a second drive, half of it less, and nothing of it not at all; the floor stays
+    assert sigmas[2] == pytest.approx(np.r_[offset.lag_sigma, offset.arm_sigma])
+    assert (sigmas[0] < sigmas[1]).all() and (sigmas[1] < sigmas[2]).all() and sigmas[0][0] > FLOOR
+    assert sigmas[0][1:3] == pytest.approx(sigmas[2][1:3] / np.sqrt(2.0), rel=0.15)
+
+
 def finding(name, **sigmas):
     parameters = {parameter: Estimate(0.5, sigma, unit) for parameter, (sigma, unit) in sigmas.items()}
     return Finding(name, [name], parameters, 0.0, 0.0, True, HeldOut(0.0, 1.0, []))
@@ -47,13 +97,37 @@ def sigmas(effect, parameters, sigma, names):
     return {name: np.diag(shown(name, unknowns, recorded(sigma), VALUES)) ** -0.5 for name in names}
 
 
+@pytest.mark.parametrize('speed', [0.8, 9.0, 25.0])
 @pytest.mark.parametrize('name', ASKED)
-def test_a_manoeuvre_begins_and_ends_at_its_speed(name):
-    segments = asked(name, 9.0, 80.0, 30.0)
-    assert sum(s.speed_change for s in segments) == pytest.approx(9.0)
-    assert sum(s.duration for s in segments) >= 110.0
+def test_a_manoeuvre_begins_and_ends_at_its_speed(name, speed):
+    segments, begin = asked(name, speed, 80.0, 30.0)
+    assert sum(s.speed_change for s in segments) == pytest.approx(speed)
+    assert sum(s.duration for s in segments) >= begin + 30.0
+    # and it does at the time that is told, also where a vehicle needs long to become so fast
+    times = np.cumsum([s.duration for s in segments])
+    before = [s.speed_change for s, end in zip(segments, times) if end <= begin + 1e-6]
+    assert begin >= 80.0 and sum(before) == pytest.approx(speed) and np.abs(times - begin).min() < 1e-6
     speeds = np.cumsum([s.speed_change for s in segments])
     assert speeds.min() > -1e-9
+
+
+@pytest.mark.parametrize('sigma', [0.02, 1.5])
+@pytest.mark.parametrize('speed, standing', [(15.0, 0.0), (15.0, 60.0), (5.0, 0.0)])
+def test_the_speed_is_that_of_the_latest_driving(speed, standing, sigma):
+    # given a vehicle that drives at 8 m/s, then at `speed`, and that stands at the end, or not
+    course = Path((Segment(5.0), Segment(10.0, 8.0), Segment(30.0), Segment(10.0, speed - 8.0), Segment(30.0),
+                   *([Segment(10.0, -speed), Segment(standing)] if standing else [])))
+    end = sum(s.duration for s in course.segments) - 1.0
+    fixes = simulate_recording(follow(course, end, 20.0), None, GnssNoise(sigma)).recording.gnss
+    if standing:  # braking is driving, too
+        assert 0.3 * speed < driven_speed(fixes) < speed
+    else:
+        assert driven_speed(fixes) == pytest.approx(speed, abs=0.05 + 0.3 * sigma)
+
+
+def test_a_vehicle_that_only_stands_counts_as_one_in_town():
+    fixes = simulate_recording(follow(Path((Segment(60.0),)), 50.0, 20.0), None, GnssNoise(1.5)).recording.gnss
+    assert driven_speed(fixes) == driven_speed(fixes.select(slice(0, 1))) == SPEED
 
 
 def test_straight_on_shows_neither_an_arm_nor_an_offset():

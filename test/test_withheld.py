@@ -10,7 +10,7 @@ from live_support import fed
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run_with_outages
 from mems_ins_fusion.filter.runs.withheld import AGES, APART, FIRST, PERIOD, WEIGHT, Withheld
-from mems_ins_fusion.filter.trust.scale import Scale, learn_changes, scale
+from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, learn_changes
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.samples import Aiding
 from mems_ins_fusion.simulation.simulation import (
@@ -68,8 +68,34 @@ def test_it_is_what_outages_of_a_replay_show():
             squared = off @ np.linalg.solve(difference, off) / 2.0
             learn_changes(expected, 0, float((last - imu.stamp[0]) * 1e-9), squared, 1.0, 0.0, 2, WEIGHT)
     # then a live filter has learned the same
-    assert realised(recording) == pytest.approx(scale(expected, 0), rel=0.02)
-    assert abs(np.log(scale(expected, 0))) > 0.02
+    same = Withheld(config)
+    same._scale[:] = expected
+    assert realised(recording) == pytest.approx(same.realised, rel=0.02)
+    assert abs(np.log(same.realised)) > 0.02
+
+
+@pytest.mark.parametrize('unknown', [0.04, 0.1, 0.3])
+def test_a_variance_below_the_expected_one_counts_as_its_tail_of_5_percent_asks(unknown):
+    # given that the logarithm of realised over expected variance is -1 but for a normal error of variance `unknown`
+    learned = Withheld(configure(NOISE))
+    learned._scale[[Scale.LOG, Scale.REDUCED]] = -1.0, PRIOR - unknown
+    rng = np.random.default_rng(3)
+    true = np.exp(-1.0 + np.sqrt(unknown) * rng.standard_normal(400_000))
+    errors = np.sqrt(true)[:, None] * rng.standard_normal((len(true), 2))
+    # then 5 % of the errors are beyond what 5 % of a normal distribution of the variance that is used are beyond, in a
+    # plane, and no more along a line
+    beyond = np.mean(np.hypot(*errors.T) > np.sqrt(-2.0 * np.log(0.05) * learned.realised))
+    assert beyond == pytest.approx(0.05, abs=0.004)
+    assert 0.03 < np.mean(np.abs(errors[:, 0]) > 1.96 * np.sqrt(learned.realised)) < 0.051
+
+
+def test_as_expected_before_it_is_known_to_be_less_and_as_seen_where_it_is_more():
+    learned = Withheld(configure(NOISE))
+    assert learned.realised == 1.0
+    learned._scale[[Scale.LOG, Scale.REDUCED]] = -0.1, PRIOR - 0.3
+    assert learned.realised == 1.0
+    learned._scale[Scale.LOG] = 0.5
+    assert learned.realised == pytest.approx(np.exp(0.5))
 
 
 @pytest.mark.parametrize('worse, least, most', [(0.25, 0.05, 0.8), (3.0, 2.0, 20.0)])

@@ -6,8 +6,8 @@ are unknown. The differences between the fixes and that shape are linear in thes
 have in common: the time offset (along the velocity), the lever arm of the antenna (turns with the vehicle), the
 smoothing of the receiver (along the acceleration, low-passed as by the receiver) and the accelerometers' biases.
 All are estimated together, so each sigma is a marginal one: it is large where a drive cannot tell two of them apart.
-White noise and lasting errors of the fixes, and noise of the sensors, are chosen by their likelihood. Each sigma is the
-larger one of this model's and that of the jackknife over the pieces.
+White noise and lasting errors of the fixes, and noise of the sensors, are chosen by their likelihood. Each sigma is
+this model's, corrected by the jackknife over the pieces as far as that tells (`regression.moderated`).
 Equations: docs/configure.md, "Time offset and antenna".
 
 Source: T. Lupton, S. Sukkarieh, "Visual-inertial-aided navigation for high-dynamic motion in built environments without
@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mems_ins_fusion.configuration.kinematics import fix_sigma
-from mems_ins_fusion.configuration.regression import jackknife, weighted
+from mems_ins_fusion.configuration.regression import moderated, weighted
 from mems_ins_fusion.configuration.track import Track, cross
 from mems_ins_fusion.effects.gnss_outliers import far_off
 from mems_ins_fusion.filter.runs.usable import usable_fixes
@@ -89,11 +89,25 @@ _NOISE = tuple((force, 0.1 * force, lasting) for lasting in (0.0, 1.0, 10.0, 100
 
 
 @dataclass(frozen=True)
+class Basis:
+    """What the sigmas of an offset rest on. information: (8, 8), of the unknowns in common, with the prior, for a noise
+    variance of 1. sigmas: (8,) of these. noise: one of _NOISE. fix_sigma: m, white noise of the fixes. own: (10,) prior
+    information on a piece's own unknowns."""
+
+    information: np.ndarray
+    sigmas: np.ndarray
+    noise: tuple[float, float, float]
+    fix_sigma: float
+    own: np.ndarray
+
+
+@dataclass(frozen=True)
 class Offset:
     """lag, lag_sigma: s, as `gnss.time_offset`. arm, arm_sigma: (3,) m, from the IMU to the antenna, forward-left-up.
     smoothing, smoothing_sigma: s^2, as `gnss.lag_per_acceleration`. rivals: s, other offsets that fit nearly as well.
     undecided: s, the part of lag_sigma that comes from other values of the smoothing that are about as likely.
     by_smoothing: for each of _SMOOTHING the lag that it leads to, s, and twice the negative log likelihood of it.
+    basis: of one drive.
     """
 
     lag: float
@@ -105,6 +119,7 @@ class Offset:
     rivals: tuple[float, ...] = ()
     undecided: float = 0.0
     by_smoothing: tuple[tuple[float, float], ...] = ()
+    basis: Basis | None = None
 
     @property
     def shown(self) -> bool:
@@ -148,7 +163,6 @@ def _estimated(pieces: _Pieces) -> Offset:
         costs = np.array([pieces.solved(lag, noise, free=False).cost for lag in lags])
         lag = float(lags[np.argmin(costs)])
         noise = pieces.noise(lag)
-    scale = max(costs.min() / pieces.freedom, 1e-12)
     # in turns, smoothing and a time offset look alike: the likelihood decides between them
     starts = [_stepped(pieces.smoothed(tau**2), lag, noise) for tau in _SMOOTHING]
     noises = [start.noise(at) for start, at, _ in starts]
@@ -159,17 +173,18 @@ def _estimated(pieces: _Pieces) -> Offset:
     undecided = _undecided(np.array(by_smoothing), lag)
     for _ in range(_STEPS):
         pieces, lag, found = _stepped(pieces.weighted(found), lag, noise, 1)
-    by_model = np.sqrt(np.diag(np.linalg.inv(found.normal)) * found.cost / pieces.freedom)
-    sigma = np.maximum(by_model, jackknife(found.left_out()))
+    noise_variance = max(found.cost / found.freedom, 1e-12)
+    sigma = moderated(found.left_out(), found.each[:, 1:, 1:], found.prior, noise_variance)
     # other minima count by their likelihood, tempered where the jackknife does not believe the model's noise
-    temper = scale * (sigma[0] / max(by_model[0], 1e-9)) ** 2
+    temper = max(costs.min() / found.cost, 1e-12) * sigma[0] ** 2 / np.linalg.inv(found.normal)[0, 0]
     other = np.abs(lags - lag) > _OTHER
     likely = np.exp(-0.5 * (costs - costs.min()) / temper) * other
     share = likely / max(likely.sum() + np.exp(-0.5 * (costs - costs.min()) / temper)[~other].sum(), 1e-300)
     apart = float(np.sqrt(share @ (lags - lag) ** 2))
     rivals = tuple(round(float(at), 1) for at in lags[_minima(costs) & other & (share > 0.05)])
     return Offset(lag, math.hypot(float(sigma[0]), apart, undecided, FLOOR), found.solution[1:4], sigma[1:4],
-                  pieces.smoothing, float(sigma[4]), rivals, undecided, by_smoothing)
+                  pieces.smoothing, float(sigma[4]), rivals, undecided, by_smoothing,
+                  Basis(found.normal, sigma, noise, pieces.sigma, pieces.own))
 
 
 def _undecided(by_smoothing: np.ndarray, lag: float) -> float:
@@ -191,6 +206,25 @@ def _stepped(pieces: _Pieces, lag: float, noise, steps: int = _STEPS) -> tuple[_
     return pieces, lag, found
 
 
+def with_more(offset: Offset, imu: ImuSamples, fixes: Fixes, since: int) -> tuple[float, np.ndarray]:
+    """The sigmas of `offset` of one drive, of lag (s) and arm (3,) m, if it went on as `imu` and `fixes` do from
+    `since` (ns) on.
+
+    imu, fixes: of a simulated drive, sensors in axes of base_link without errors; they count with the noise that the
+    drive of `offset` has. What is no matter of samples (FLOOR, other minima) stays.
+    """
+    basis, pieces = offset.basis, _pieces(imu, fixes, np.eye(3))
+    if pieces is None:
+        return offset.lag_sigma, offset.arm_sigma
+    pieces = replace(pieces, sigma=basis.fix_sigma, own=basis.own).smoothed(offset.smoothing)
+    each = pieces._reduced(pieces._design(0.0), pieces._whitening(basis.noise)[0])[0][:, 1:, 1:]
+    middle = (pieces.time * pieces.used).sum(axis=1) / pieces.used.sum(axis=1)
+    later = each[middle >= (since - int(usable_fixes(fixes).stamp[0])) * 1e-9].sum(axis=0)
+    left = np.diag(np.linalg.inv(basis.information + later)) / np.diag(np.linalg.inv(basis.information))
+    lessened = basis.sigmas**2 * (1.0 - left)
+    return math.sqrt(offset.lag_sigma**2 - lessened[0]), np.sqrt(offset.arm_sigma**2 - lessened[1:4])
+
+
 def together(found: Sequence[Offset]) -> Offset | None:
     """One offset and arm of several drives; None of none."""
     if len(found) < 2:
@@ -206,6 +240,12 @@ def together(found: Sequence[Offset]) -> Offset | None:
     return Offset(**parts, undecided=_undecided(np.array(by_smoothing), parts['lag']), by_smoothing=by_smoothing)
 
 
+def _told(normal: np.ndarray, prior: np.ndarray) -> float:
+    """Number of unknowns of the normal equations (k, k) that the data tell and not the prior (k,): the trace of the
+    data's share of the information."""
+    return len(prior) - float(prior @ np.diag(np.linalg.inv(normal)))
+
+
 def _minima(costs):
     padded = np.concatenate([[np.inf], costs, [np.inf]])
     return (costs <= padded[:-2]) & (costs <= padded[2:])
@@ -215,7 +255,9 @@ def _minima(costs):
 class _Solved:
     """Least squares of all pieces. solution: the unknowns in common, first the change of the offset. cost: weighted sum
     of squares. each: (w, k, k), normal equations of [values, unknowns in common] of each piece, with its own unknowns
-    eliminated. prior, known: information by the prior, and by how much the present values differ from its mean."""
+    eliminated. prior, known: information by the prior, and by how much the present values differ from its mean.
+    freedom: number of coordinates of the fixes less that of the unknowns, each as far as the fixes tell it.
+    residual: (w, m, 2), north and west. Both where the offset is free."""
 
     solution: np.ndarray
     cost: float
@@ -223,6 +265,7 @@ class _Solved:
     each: np.ndarray
     prior: np.ndarray
     known: np.ndarray
+    freedom: float = math.inf
     residual: np.ndarray | None = None
 
     def left_out(self) -> np.ndarray:
@@ -288,22 +331,24 @@ class _Pieces:
 
     def _unlikely(self, design, noise) -> float:
         roots, logarithm = self._whitening(noise)
-        each, _, more = self._reduced(design, roots)
+        each, _, own = self._reduced(design, roots)
         cost = self._together(each, free=False)[1]
+        more = float(np.linalg.slogdet(own)[1].sum())
         return self.freedom * math.log(max(cost, 1e-300) / self.freedom) + logarithm + more
 
     def solved(self, lag: float, noise, free: bool = True) -> _Solved:
         """Least squares about `lag`. free: whether the offset is a change of it, too; else it is exact."""
         design = self._design(lag)
         roots, _ = self._whitening(noise)
-        each, back, _ = self._reduced(design, roots)
+        each, back, normal_own = self._reduced(design, roots)
         solution, cost, normal, prior, known = self._together(each, free)
-        residual = None
-        if free:
-            values, shared, own = design
-            left = values - shared @ solution
-            residual = left - np.einsum('wmik,wk->wmi', own, back @ np.concatenate([[1.0], -solution]))
-        return _Solved(solution, cost, normal, each, prior, known, residual)
+        if not free:
+            return _Solved(solution, cost, normal, each, prior, known)
+        values, shared, own = design
+        left = values - shared @ solution
+        residual = left - np.einsum('wmik,wk->wmi', own, back @ np.concatenate([[1.0], -solution]))
+        told = _told(normal, prior) + sum(_told(one, self.own) for one in normal_own)
+        return _Solved(solution, cost, normal, each, prior, known, max(2.0 * self.used.sum() - told, 1.0), residual)
 
     def _together(self, each, free):
         total, first = each.sum(axis=0), 0 if free else 1
@@ -333,7 +378,7 @@ class _Pieces:
 
     def _reduced(self, design, roots):
         """(w, s, s) products of [values, shared] with a piece's own unknowns free, what these are of each, and the
-        logarithm of the determinants that belong to it."""
+        normal equations of these."""
         values, shared, own = design
         columns = np.concatenate([values[..., None], shared, own], axis=-1) * self.used[..., None, None]
         count = columns.shape[-1]
@@ -343,7 +388,7 @@ class _Pieces:
         normal = products[:, first:, first:] + np.diag(self.own)
         back = np.linalg.solve(normal, products[:, first:, :first])
         each = products[:, :first, :first] - products[:, :first, first:] @ back
-        return each, back, float(np.linalg.slogdet(normal)[1].sum())
+        return each, back, normal
 
     def _design(self, lag: float):
         """Differences between fixes and shape, (w, m, 2), and their derivatives by the unknowns in common and by those

@@ -86,7 +86,8 @@ def _as_given(name: str, sizes: dict[str, Remaining], least: dict[str, float], s
     units = {one.name: one.unit for one in effect_called(name).traced}
     left = {n: Estimate(one.value, one.sigma, units[n]) for n, one in sizes.items() if math.isfinite(one.sigma)}
     settled = all(sizes[n].settled(most) for n, most in least.items())
-    return Finding(name, [name], left, 0.0, 0.0, False, HeldOut(0.0, 1.0, []), settled=settled, since=since)
+    return Finding(name, [name], left, 0.0, 0.0, False, HeldOut(0.0, 1.0, []), settled=settled, since=since,
+                   direct=True)
 
 
 def _of_inputs(part: Recording, mounting: Mounting | None, values: dict) -> dict[str, tuple[dict, dict]]:
@@ -115,7 +116,8 @@ def _finding(name: str, sizes: dict[str, Remaining], values: dict, since: int) -
     changes = {parameter: value for parameter, value in adjusted.items() if value != values.get(parameter)}
     left = {n: Estimate(one.value, one.sigma, units[n]) for n, one in sizes.items()}
     least = dict.fromkeys(left.keys() & {'time_offset', 'delay'}, FLOOR)
-    return Finding(name, [name], left, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=changes, since=since, least=least)
+    return Finding(name, [name], left, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=changes, since=since, least=least,
+                   direct=True)
 
 
 def _agree(one: Finding, other: Finding) -> bool:

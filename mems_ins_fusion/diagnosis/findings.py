@@ -24,7 +24,8 @@ class Finding:
     from each of several drives, by name. apart: the drives contradict each other. saves: duration of outages, s, and
     the mean of the largest error in them without it and with it, m, each with the effects that were added before.
     since: ns, stamp of the first sample that shows it; 0: unknown. least: part of the sigma of a parameter that does
-    not decrease with more samples. settled: not added, and all that may be left does not matter.
+    not decrease with more samples. settled: not added, and all that may be left does not matter. direct: estimated
+    without a filter, as `configure` does.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Finding:
     since: int = 0
     least: dict[str, float] = field(default_factory=dict)
     settled: bool = False
+    direct: bool = False
 
     def says_more_than(self, before: Finding) -> bool:
         """Of an effect that may be as it is given: whether this, seen later, says more than `before`, or else."""

@@ -184,10 +184,11 @@ ASKED = {
 }
 
 
-def asked(name: str, speed: float, before: float, duration: float) -> tuple[Segment, ...]:
-    """A standstill and a drive of `before` s that lets a filter start, one of ASKED, and straight on until `duration`
-    s have gone since. speed: m/s."""
+def asked(name: str, speed: float, before: float, duration: float) -> tuple[tuple[Segment, ...], float]:
+    """A standstill and a drive of `before` s or more that lets a filter start, one of ASKED, and straight on until
+    `duration` s have gone since. speed: m/s. Returns the time, s, at which that one begins, too."""
     opening = [Segment(25.0), _speed_change(0.0, speed, 1.5), Segment(10.0), *_turns(np.pi / 2, speed)]
     opening.append(_hold(max(before - sum(s.duration for s in opening), 1.0)))
     course = ASKED[name](speed)
-    return (*opening, *course, _hold(max(duration - sum(s.duration for s in course), 0.0) + 10.0))
+    rest = _hold(max(duration - sum(s.duration for s in course), 0.0) + 10.0)
+    return (*opening, *course, rest), sum(s.duration for s in opening)

@@ -4,7 +4,8 @@ At the begin of a PERIOD the newest state of the filter is copied, and the copy 
 several samples (coarse.py). After each of AGES its position is compared with that of the filter. Both have the past in
 common, so that the difference d has the covariance P_copy - P_filter, and what is wrong with both, as slow errors of a
 receiver, is not in it. Its normalized square is one deviation for the scale (trust/scale.py) of realised over expected
-variance. A scale above 1 is used as it is, below 1 only as far as that is certain. The filter itself does not use it:
+variance. A scale above 1 is used as it is, below 1 with an allowance for what is not known of it. The filter itself
+does not use it:
 its gains depend on ratios of variances, and which part of P a difference comes from does not show.
 """
 from __future__ import annotations
@@ -26,7 +27,7 @@ from ..memory import (
     time_of,
     variance_factor,
 )
-from ..trust.scale import Scale, learn_changes, scale
+from ..trust.scale import PRIOR, Scale, learn_changes
 from .coarse import follow
 from .newest import NewestState
 from .odometry import navigation_solution
@@ -70,8 +71,14 @@ class Withheld:
 
     @property
     def realised(self) -> float:
-        """Realised over expected variance of the errors without fixes, as it is to be used."""
-        return scale(self._scale, 0)
+        """Realised over expected variance of the errors without fixes, as it is to be used: above 1 the estimate, below
+        1 with what is not known of it.
+
+        A normal error in a plane, of a variance whose logarithm is normal with the variance v, exceeds what it exceeds
+        with 5 % as often as if the logarithm were larger by v (to second order in the logarithm; along a line 0.7 v).
+        """
+        level, unknown = self._scale[Scale.LOG], max(PRIOR - self._scale[Scale.REDUCED], 0.0)
+        return math.exp(max(level, min(level + unknown, 0.0)))
 
     def begin(self, time: float) -> None:
         """A filter has begun, whose newest sample is at `time`, s; what is known stays."""
@@ -134,7 +141,6 @@ class Withheld:
         self.before(0.0, memory)
         follow(self._small.memory, memory, self._followed, self._withheld)
         learn_changes(np.zeros(Scale.CHANGING_SIZE), 0, 1.0, 1.0, 1.0, 0.0, 2, WEIGHT)
-        scale(self._scale, 0)
 
     def _latitude_longitude(self, row: np.ndarray) -> tuple[float, float]:
         return navigation_solution(row, 0, self._rows, self._open_loop)[:2]
