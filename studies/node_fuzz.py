@@ -23,9 +23,9 @@ from ros_support import PATIENCE, PLAYABLE, Diagnostics, NodeProcess, Peer, Play
 
 from mems_ins_fusion.simulation.drive import simulate_drive  # noqa: E402
 from mems_ins_fusion.simulation.simulation import (  # noqa: E402
-    SimulatedAiding,
     GnssNoise,
     SensorErrors,
+    SimulatedAiding,
     simulate_recording,
 )
 
