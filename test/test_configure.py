@@ -641,7 +641,7 @@ def test_another_drive_is_asked_for_only_where_the_recording_is_sound(severity, 
     from mems_ins_fusion.reports.configuration import answer
 
     # given a recording without a yaw, with a remark of that severity
-    drive = SimpleNamespace(findings=(Remark(severity, 'imu/gnss', 'IMU and fixes do not overlap in time'),))
+    drive = SimpleNamespace(remarks=(Remark(severity, 'imu/gnss', 'IMU and fixes do not overlap in time'),))
     result = SimpleNamespace(drives=[drive], mounting=None, wrong=['they do not overlap'], missing=[], left=[])
     # then only a recording whose messages are sound is said to need turns
     assert answer(result, ['drive'], 'car.yaml').steps[0].what.startswith(step)

@@ -170,7 +170,7 @@ def _look(work: Job, paths, references, given, folder: Path, known_as: Path) -> 
     result, said = _configured(paths)
     [drive] = result.drives
     rows = {'effects': shown_by(drive), 'results': [], 'outages': [],
-            'findings': [_finding('checker', f.severity, f.topic, f.message) for f in drive.findings]
+            'findings': [_finding('checker', f.severity, f.topic, f.message) for f in drive.remarks]
             + _said('reader', said) + [_finding('configure', 'info', '', text) for text in result.missing]}
     stamp = drive.imu.stamp
     return {'rows': rows, 'page': '', 'recording': {

@@ -71,8 +71,9 @@ class _Publishing(Replay):
     def _align(self, kept, samples, events: Events, saved) -> tuple[Start | None, int]:
         start, first = super()._align(kept, samples, events, saved)
         found = self._waiting.found
-        self._aligned = self._waiting.fed
-        if start is None:
+        if start is not None:
+            self._aligned, _ = found[-1]
+        else:
             found.append((len(samples), None))
         nothing = events.select(slice(0))
         for (fed, provisional), (end, _) in zip(found, found[1:]):
