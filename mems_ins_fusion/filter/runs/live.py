@@ -34,6 +34,7 @@ from .withheld import Withheld
 
 _CHECK_PERIOD = 5 * 10**9  # ns between two checks (vehicle_check.py); each takes 0.1 ms
 _MESSAGE_PERIOD = 60 * 10**9  # ns from a message of this check to the next check
+MOST_UNSEEN = 1000  # samples that wait for a fix before the alignment gets them: some seconds, in an outage, too
 UNKNOWN_SPEED_SIGMA = 15.0  # m/s, standard deviation of an unknown speed: a car on any road
 #: parameters that may change while the filter runs, and the columns of the head that depend on them
 CHANGEABLE = ('gnss.gate_probability', 'gnss.robust_sigma', 'gnss.recovery_time', 'gnss.adapt_sigma',
@@ -91,6 +92,7 @@ class FusionFilter(FilterStatus):
         self._alignment = Alignment(self.config)
         self._memory: np.ndarray | None = None
         self._withheld = Withheld(self.config)
+        self._unseen: list[list[float]] = []  # samples since the latest fix while the alignment watches
         self._provisional: np.ndarray | None = None  # memory of a filter without a heading,
         self._without_heading: Start | None = None  # and its start
         self._epoch: int | None = None
@@ -180,7 +182,9 @@ class FusionFilter(FilterStatus):
             self._filter(self._provisional, sample, self._log, self._none)
             return True
         if self._alignment.is_watching:
-            self._alignment.add_samples(sample)
+            self._unseen.append(sample[0].tolist())
+            if len(self._unseen) == MOST_UNSEEN:
+                self._show()
         if sample[0, 0] >= self._withheld.due:
             self._withheld.before(float(sample[0, 0]), self._memory)
         self._filter(self._memory, sample, self._log, self._none)
@@ -252,10 +256,11 @@ class FusionFilter(FilterStatus):
                     self._without_heading = self._alignment.provisional()
                     self._provisional = None if self._without_heading is None else self._started(self._without_heading)
             return
-        if kind == Kind.POSITION and self._alignment.is_watching and (
-                self._alignment.takes_back_the_start(event, self.say)):
-            self._begin_again()
-            return
+        if kind == Kind.POSITION and self._unseen:
+            self._show()
+            if self._alignment.takes_back_the_start(event, self.say):
+                self._begin_again()
+                return
         event[Event.ID] = self._ids
         self._ids += 1
         answer = self._filter(self._memory, self._sample[:0], events, self._before)
@@ -271,6 +276,11 @@ class FusionFilter(FilterStatus):
         self._memory, self._newest_fix = self._started(start), stamp
         self._follow_withheld()
         self._provisional = None
+
+    def _show(self) -> None:
+        """Give the samples since the latest fix to the alignment, which watches. One by one it takes 50 us each."""
+        self._alignment.add_samples(np.array(self._unseen))
+        self._unseen.clear()
 
     def _begin_again(self) -> None:
         """Discard the running filter, and go on with the alignment."""
