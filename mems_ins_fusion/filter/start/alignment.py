@@ -43,7 +43,7 @@ from .start import DATUM_FIXES, SavedState, Standstill, Start
 from .two_receivers import SLOW_SPEED, find_heading
 
 LONGEST_KEPT = 300.0  # s of samples and fixes kept while waiting
-#: s after the first sample for which the motion may take a start back. Vehicles have turned and braked by then
+#: s after a start for which the motion may take it back. Vehicles have turned and braked by then
 LONGEST_WATCHED = 300.0
 RECENT = 10.0  # s of samples and fixes from which a present standstill, or the speed of a slow vehicle, is determined
 SIGNIFICANT = 3.0  # standard deviations of two fixes by which their displacement has to contradict a heading
@@ -85,6 +85,7 @@ class Alignment:
         self._places: dict[float, list[tuple]] = {number: [] for number in self._receivers}
         self._fixes: list[tuple] = []  # time, latitude, longitude, variance, height, covariance
         self._first: float | None = None  # time of the first sample
+        self._started = -math.inf  # time of the start
         self._saved: SavedState | None = None
         self._scale = np.zeros(Scale.CHANGING_SIZE)  # realised over claimed variance of the fixes
         self._track: list[tuple] = []  # the latest fixes that are SHORTEST_PAIR apart: LINE_FIXES at rest, else two
@@ -190,7 +191,7 @@ class Alignment:
     def is_watching(self) -> bool:
         """Whether the motion may still show, after the start, that the IMU is mounted in another direction."""
         return bool(self.config.vehicle.lateral_sigma and not self._forwards and self._count
-                    and self._imu[self._count - 1, 0] - self._first < LONGEST_WATCHED)
+                    and self._imu[self._count - 1, 0] - self._started < LONGEST_WATCHED)
 
     def takes_back_the_start(self, event: np.ndarray, say) -> bool:
         """Add one valid fix after the start, as an event. Returns whether the motion by now contradicts the mounting:
@@ -487,6 +488,7 @@ class Alignment:
 
     def _start(self, yaw, yaw_sigma, speed, speed_sigma, standstill, source) -> Start:
         time, latitude, longitude, _, height, r = self._fixes[-1]
+        self._started = time
         r = self._realised * r
         course = np.array([math.cos(yaw), math.sin(yaw)])
         across = np.array([-course[1], course[0]])
