@@ -198,6 +198,9 @@ class Alignment:
         then there is no start yet. Messages to the user go to say(level, text)."""
         variance = 0.5 * (event[Event.R_NN] + event[Event.R_EE])
         self._keep_fix(*event[[Event.TIME, Event.LATITUDE, Event.LONGITUDE]], variance, event[Event.HEIGHT], None)
+        before, now = (fix[0] // STILL_BLOCK for fix in self._fixes[-2:]) if len(self._fixes) > 1 else (-1.0, 0.0)
+        if before == now:  # the motion is looked at in blocks of that length
+            return False
         found = direction_in_motion(self._samples, self._in_blocks(), self._positions())
         problem = '' if found is None else self._judge_motion(found)
         if problem:

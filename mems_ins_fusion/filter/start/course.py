@@ -66,6 +66,11 @@ class Backwards(Contradicted):
     backwards, are the same until it drives forwards."""
 
 
+#: what is waited for then, with the verb for what the vehicle does
+BACKWARDS = ('the vehicle to drive forwards: it {} backwards; if it does not, the IMU is mounted the other way round: '
+             'turn the yaw of imu.mounting_rpy by pi')
+
+
 class _Motion(NamedTuple):
     """Motion by the inertial sensors between two times, in the body axes of the first."""
 
@@ -264,8 +269,7 @@ def _of_chord(imu, chord, time, now, noise, between, standstill, config, is_forw
     if not _on_path(imu, between, time, now, yaw, speed, noise, standstill, config):
         return None
     if last < 0.0 and (config.vehicle.lateral_sigma or -last > FASTEST_REVERSE):
-        raise Backwards('the vehicle to drive forwards: it seems to go backwards; if it does not, the IMU is mounted '
-                        'the other way round: turn the yaw of imu.mounting_rpy by pi')
+        raise Backwards(BACKWARDS.format('seems to go'))
     return Course(yaw + motion.turn, math.copysign(math.hypot(last, motion.gained[1]), last), yaw_sigma, speed_sigma)
 
 

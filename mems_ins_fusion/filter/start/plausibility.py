@@ -10,7 +10,7 @@ import numpy as np
 
 from ..config import FilterConfig
 from .at_rest import STILL_BLOCK, Blocks
-from .course import DIRECTION_CERTAIN, FASTEST, FASTEST_REVERSE
+from .course import BACKWARDS, DIRECTION_CERTAIN, FASTEST, FASTEST_REVERSE
 
 LARGEST_TILT = math.radians(40.0)  # rad, largest tilt of an IMU whose mounting is as configured, on any road
 FASTEST_TURN = 3.0  # rad/s, largest mean turn rate of a vehicle over a second
@@ -25,7 +25,7 @@ SIDEWAYS = math.radians(45.0)
 SPEED_INTERVAL = 4.0
 #: number of blocks in motion from which the direction of motion is determined. Chosen, not measured
 FEWEST_DRIVEN = 10
-MOVING_SIGMAS = 3.0  # standard deviations by which a speed by two fixes has to exceed their noise
+MOVING_SIGMAS = 3.0  # standard deviations by which a speed by two fixes has to exceed their noise: seldom by chance
 #: m/s^2, smallest standard deviation of the horizontal specific force beside the acceleration: a slope of 1.7 deg
 OTHER_FORCE = 0.3
 OTHER_FORCE_TIME = 5.0  # s for which a slope of the road lasts. Chosen, not measured
@@ -67,8 +67,7 @@ def problem_of_direction(angle: float, moves: str) -> str:
     moves: the verb for what it does.
     """
     if is_backwards(angle):
-        return (f'the vehicle to drive forwards: it {moves} backwards; if it does not, the IMU is mounted the other '
-                'way round: turn the yaw of imu.mounting_rpy by pi')
+        return BACKWARDS.format(moves)
     if abs(angle) > SIDEWAYS:
         return (f'an IMU that is mounted as imu.mounting_rpy says: the vehicle {moves} '
                 f'{abs(math.degrees(angle)):.0f} deg to the {"right" if angle > 0 else "left"} of its forward axis: '

@@ -61,7 +61,8 @@ FAULT_END_RATE = 1.0 / 20.0
 LOG_RANGE = math.log(1000.0)
 #: m/s: sigma of the drift of wrong fixes, of a receiver that loses its satellites one by one
 DRIFT_SIGMA = 3.0
-#: m/s: sigma of the velocity of a filter that has strayed: half of the speed in cities, by a heading that is off
+#: m/s: sigma of the velocity error of a filter that has strayed: half of a speed in cities, as of a heading that is off
+#: by half a radian. Chosen, not measured
 STRAYED_SIGMA = 7.0
 #: sigmas beyond which wrong fixes significantly drift, and are off across the velocity
 SIGNIFICANT = 3.0
