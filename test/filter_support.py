@@ -79,21 +79,21 @@ def state_and_covariance(config: FilterConfig, memory: np.ndarray) -> tuple[np.n
     return row[NAV:NAV + config.layout.n].copy(), covariance(row, config.layout)
 
 
-def fix_record(time, latitude=LATITUDE, longitude=LONGITUDE, height=HEIGHT, r=((1.0, 0.0), (0.0, 1.0)), down=4.0):
+def fix_event(time, latitude=LATITUDE, longitude=LONGITUDE, height=HEIGHT, r=((1.0, 0.0), (0.0, 1.0)), down=4.0):
     """A fix as the kernel takes it; r: (2, 2) north-east m^2, down: m^2."""
-    record = np.zeros(Event.SIZE)
-    record[[Event.TIME, Event.KIND]] = time, Kind.POSITION
-    record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]] = latitude, longitude, height
-    record[[Event.R_NN, Event.R_NE, Event.R_EE, Event.R_DD]] = r[0][0], r[0][1], r[1][1], down
-    return record
+    event = np.zeros(Event.SIZE)
+    event[[Event.TIME, Event.KIND]] = time, Kind.POSITION
+    event[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]] = latitude, longitude, height
+    event[[Event.R_NN, Event.R_NE, Event.R_EE, Event.R_DD]] = r[0][0], r[0][1], r[1][1], down
+    return event
 
 
-def input_record(config: FilterConfig, time, kind) -> np.ndarray:
-    """A record of the unnamed input of this kind, which has a topic, without a value."""
-    record = np.zeros(Event.SIZE)
-    record[[Event.TIME, Event.KIND]] = time, kind
-    record[Event.INPUT:Event.INPUT_END] = config.of_input(kind)
-    return record
+def input_event(config: FilterConfig, time, kind) -> np.ndarray:
+    """An event of the unnamed input of this kind, which has a topic, without a value."""
+    event = np.zeros(Event.SIZE)
+    event[[Event.TIME, Event.KIND]] = time, kind
+    event[Event.INPUT:Event.INPUT_END] = config.of_input(kind)
+    return event
 
 
 def statistics_at(config: FilterConfig, kind: int) -> int:
@@ -155,24 +155,24 @@ def take_sample(memory: np.ndarray, time, f_x, f_y, f_z, w_x, w_y, w_z) -> None:
     _run(memory, np.array([[time, f_x, f_y, f_z, w_x, w_y, w_z]], dtype=float), np.zeros((0, Event.SIZE)))
 
 
-def take_event(memory: np.ndarray, record: np.ndarray) -> int:
+def take_event(memory: np.ndarray, event: np.ndarray) -> int:
     """One measurement through the kernel; its answer."""
-    return _run(memory, np.zeros((0, 7)), record.reshape(1, -1).copy())
+    return _run(memory, np.zeros((0, 7)), event.reshape(1, -1).copy())
 
 
-def take_all(memory: np.ndarray, samples: np.ndarray, records: np.ndarray, columns,
+def take_all(memory: np.ndarray, samples: np.ndarray, events: np.ndarray, columns,
              late=0.0) -> tuple[np.ndarray, np.ndarray]:
     """Samples (k, 7) and measurements (e, Event.SIZE) by time through the kernel, each in time for the sample after it,
     or `late` (one or e), s after that.
 
-    The columns of the state after each sample (k, c), and the records (e, Event.SIZE) with what came of them.
+    The columns of the state after each sample (k, c), and the events (e, Event.SIZE) with what came of them.
     """
-    records, states = records.copy(), np.empty((len(samples), len(columns)))
-    records[:, Event.ID] = np.arange(len(records))
-    log, answers = records.copy(), np.zeros(len(records), dtype=np.int64)
-    arrival = np.searchsorted(samples[:, 0], records[:, Event.TIME] + late)
+    events, states = events.copy(), np.empty((len(samples), len(columns)))
+    events[:, Event.ID] = np.arange(len(events))
+    log, answers = events.copy(), np.zeros(len(events), dtype=np.int64)
+    arrival = np.searchsorted(samples[:, 0], events[:, Event.TIME] + late)
     order = np.argsort(arrival, kind='stable')
-    kernel.run(memory, samples, records[order], arrival[order], answers, np.asarray(columns, dtype=np.uint64),
+    kernel.run(memory, samples, events[order], arrival[order], answers, np.asarray(columns, dtype=np.uint64),
                np.arange(len(samples)), states, log)
     assert np.all(answers == advance.TAKEN)
     return states, log

@@ -11,8 +11,8 @@ from filter_support import (
     attitude_of,
     central_difference,
     configure,
-    fix_record,
-    input_record,
+    fix_event,
+    input_event,
     newest,
     random_covariance,
     second_order_variance,
@@ -216,12 +216,12 @@ def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict
     away[:judged] = np.linalg.cholesky(s[:judged, :judged])[:, 0] * sigmas
     if k > 2:
         away[2] = 0.5 * math.sqrt(s[2, 2])
-    record = input_record(config, DT, kind)
-    record[Event.VALUE:Event.VALUE + k] = measured(np.zeros(len(x0))) - h @ x0 - away
-    record[[Event.R_NN, Event.R_EE, Event.R_DD][:k]] = variances[:k]
+    event = input_event(config, DT, kind)
+    event[Event.VALUE:Event.VALUE + k] = measured(np.zeros(len(x0))) - h @ x0 - away
+    event[[Event.R_NN, Event.R_EE, Event.R_DD][:k]] = variances[:k]
     if kind == Kind.HEADING:
-        record[Event.VALUE] += 2 * math.pi  # another name of the same
-    assert take_event(after, record) == TAKEN
+        event[Event.VALUE] += 2 * math.pi  # another name of the same
+    assert take_event(after, event) == TAKEN
     take_sample(after, DT, *SAMPLE)
     # then innovation and verdict are these
     kept = views(after)[4][0]
@@ -251,10 +251,10 @@ def test_what_is_far_from_what_fixes_say_changes_nothing(kind, last_fix, verdict
     without = memory.copy()
     take_sample(without, DT, *SAMPLE)
     # when wheels spin, or something else is far off
-    record = input_record(config, DT, kind)
-    record[Event.VALUE:Event.VALUE + 3] = (2.0, 0.0, 0.0) if kind == Kind.HEADING else (36.0, 0.0, 0.0)
-    record[[Event.R_NN, Event.R_EE, Event.R_DD]] = 0.01
-    assert take_event(memory, record) == TAKEN
+    event = input_event(config, DT, kind)
+    event[Event.VALUE:Event.VALUE + 3] = (2.0, 0.0, 0.0) if kind == Kind.HEADING else (36.0, 0.0, 0.0)
+    event[[Event.R_NN, Event.R_EE, Event.R_DD]] = 0.01
+    assert take_event(memory, event) == TAKEN
     take_sample(memory, DT, *SAMPLE)
     # then it is refused while fixes come; without them nobody knows who is right
     assert views(memory)[4][0][Event.VERDICT] == verdict
@@ -320,12 +320,12 @@ def through(kind, value, r, seconds, rate=1.0, fixes=False, velocity=(0.0, 0.0, 
     for k in range(round(20 * seconds)):
         time = (k + 1) / 20.0
         if (k + 1) % round(20 / rate) == 0 and time > begin:
-            record = input_record(config, time, kind)
-            record[[Event.R_NN, Event.R_EE, Event.R_DD]] = r
-            record[Event.VALUE:Event.VALUE + np.size(value)] = value + noise * rng.standard_normal(np.size(value))
-            take_event(memory, record)
+            event = input_event(config, time, kind)
+            event[[Event.R_NN, Event.R_EE, Event.R_DD]] = r
+            event[Event.VALUE:Event.VALUE + np.size(value)] = value + noise * rng.standard_normal(np.size(value))
+            take_event(memory, event)
         if fixes and (k + 1) % 20 == 10:
-            take_event(memory, fix_record(time, LATITUDE + velocity[0] * time / north,
+            take_event(memory, fix_event(time, LATITUDE + velocity[0] * time / north,
                                           LONGITUDE + velocity[1] * time / east))
         take_sample(memory, time, 0.0, 0.0, 9.81, 0.0, 0.0, 0.0)
     return config, memory

@@ -221,10 +221,10 @@ def test_of_several_fixes_the_good_ones_are_used_each_as_it_is():
     fixes = Fixes(stamp, stamp, latitude, np.full(5, 0.2), np.full(5, 480.0), np.tile(np.eye(3), (5, 1, 1)),
                   np.zeros(5, np.int8), np.full(5, 2, np.uint8))
     intake = Intake(configure({'gnss.max_delay': 3.0}))
-    used, records = intake.measured(Kind.POSITION, fixes, np.full(5, BEGIN + 3 * SECOND), BEGIN)
+    used, events = intake.measured(Kind.POSITION, fixes, np.full(5, BEGIN + 3 * SECOND), BEGIN)
     # then each of the others is used with its own place and time
     assert list(used) == [0, 2, 4]
-    assert np.array_equal(records[:, [Event.LATITUDE, Event.TIME]], [[0.1, 1.0], [0.2, 2.0], [0.4, 3.0]])
+    assert np.array_equal(events[:, [Event.LATITUDE, Event.TIME]], [[0.1, 1.0], [0.2, 2.0], [0.4, 3.0]])
     assert [notice.text.split()[1] for notice in intake.notices()] == ['latitude,', 'fix']
 
 

@@ -14,7 +14,7 @@ from filter_support import (
     attitude_of,
     central_difference,
     configure,
-    fix_record,
+    fix_event,
     newest,
     random_covariance,
     second_order_variance,
@@ -356,7 +356,7 @@ def test_a_vehicle_that_goes_up_does_not_go_sideways():
     for k in range(1, 2001):
         take_sample(memory, k / 100, 0.0, 0.0, 9.81, 0.0, 0.0, 0.0)
         if k % 100 == 0:
-            take_event(memory, fix_record(k / 100, latitude=LATITUDE + k / 10 / 6.38e6, height=HEIGHT + 3.0 * k / 100,
+            take_event(memory, fix_event(k / 100, latitude=LATITUDE + k / 10 / 6.38e6, height=HEIGHT + 3.0 * k / 100,
                                           r=1e-4 * np.eye(2), down=1e-4))
     # then its constraint upwards is not used, and no time sideways is counted
     assert newest(memory)[Nav.VERTICAL_NIS] < 0.0 and newest(memory)[Nav.SIDEWAYS] == 0.0
@@ -374,7 +374,7 @@ def test_how_long_a_vehicle_goes_sideways_is_counted_once_whatever_comes_late(ra
             time = k / rate
             take_sample(memory, time, 0.0, 0.0, 9.81, 0.0, 0.0, 0.0)
             if k % rate == 0 and time - late > 0.0:
-                take_event(memory, fix_record(time - late, longitude=LONGITUDE + (time - late) * 3.0 / 4.26e6,
+                take_event(memory, fix_event(time - late, longitude=LONGITUDE + (time - late) * 3.0 / 4.26e6,
                                               r=1e-4 * np.eye(2)))
         counted.append(newest(memory)[Nav.SIDEWAYS])
     # then it is the time that it was so

@@ -9,7 +9,7 @@ from filter_support import (
     LATITUDE,
     LONGITUDE,
     configure,
-    fix_record,
+    fix_event,
     newest,
     random_covariance,
     started,
@@ -219,36 +219,36 @@ class Drive:
         memory = started(config, velocity=(10.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
         scale = np.array([radii(LATITUDE)[0] + 480.0, (radii(LATITUDE)[1] + 480.0) * math.cos(LATITUDE)])
         r = self.noise**2 * np.eye(2)
-        records = np.array([fix_record(t, LATITUDE + north / scale[0], LONGITUDE + east / scale[1], r=r)
+        events = np.array([fix_event(t, LATITUDE + north / scale[0], LONGITUDE + east / scale[1], r=r)
                             for t, (north, east) in zip(self.time, self.position)])
         kept = [Nav.TIME, Nav.LATITUDE, Nav.LONGITUDE, Nav.FIX_TIME,
                 *range(Hypothesis.SPREAD, Hypothesis.SPREAD + 4)]
-        states, records = take_all(memory, self.samples, records, kept, late)
+        states, events = take_all(memory, self.samples, events, kept, late)
         rows = np.zeros((len(states), Nav.SIZE))
         rows[:, kept] = states
         truth = np.stack([10.0 * rows[:, Nav.TIME], np.zeros(len(rows))], axis=1)
         error = (rows[:, [Nav.LATITUDE, Nav.LONGITUDE]] - [LATITUDE, LONGITUDE]) * scale - truth
         sigma = np.abs([spread(row, 0)[:2] for row in rows])
-        return config, memory, error, sigma, records
+        return config, memory, error, sigma, events
 
 
 @BOTH
 def test_nothing_is_open_where_all_is_right(mechanization):
-    config, memory, error, sigma, records = Drive().through(mechanization)
+    config, memory, error, sigma, events = Drive().through(mechanization)
     assert newest(memory)[Nav.SLID] == 0.0
     assert np.hypot(*sigma.T).max() < 0.5 and np.hypot(*error.T).max() < 2.0
-    assert not any('sideways' in text for text in vehicle_warnings(memory, config, records))
+    assert not any('sideways' in text for text in vehicle_warnings(memory, config, events))
 
 
 def test_a_gyroscope_that_turns_away_is_seen_and_said():
     # given a gyroscope that shows 5 deg/s of a turn for 10 s where there is none
     drive = Drive()
     drive.samples[1500:2000, 6] += math.radians(5.0)
-    config, memory, error, _, records = drive.through('planar')
+    config, memory, error, _, events = drive.through('planar')
     # then the fixes decide: by the IMU and the constraint it would be v w t^2 / 2 = 44 m off
     assert newest(memory)[Nav.SLID] > 1.0
     assert np.hypot(*error.T).max() < 6.0 and np.hypot(*error[-500:].T).max() < 2.0
-    assert any('sideways' in text for text in vehicle_warnings(memory, config, records))
+    assert any('sideways' in text for text in vehicle_warnings(memory, config, events))
 
 
 def test_how_long_an_imu_was_contradicted_is_counted_once_whatever_comes_late():

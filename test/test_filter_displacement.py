@@ -205,10 +205,10 @@ def test_a_velocity_waits_for_the_first_ways_and_a_speed_that_fits_does_not():
     for name, waits in (('velocity', True), ('speed', False)):
         samples = Aiding({name: recording.streams()[name]})
         measured = run(config(name), recording.imu, recording.gnss, samples).measured
-        record = measured.event[measured.kind == KINDS[name]]
-        first = record[:40 if waits else 160, Event.VERDICT] == Verdict.AWAITED  # eight seconds
+        event = measured.event[measured.kind == KINDS[name]]
+        first = event[:40 if waits else 160, Event.VERDICT] == Verdict.AWAITED  # eight seconds
         assert first[:10].all() if waits else first.mean() < 0.1
-        assert not (record[150 if waits else 600:, Event.VERDICT] == Verdict.AWAITED).any()
+        assert not (event[150 if waits else 600:, Event.VERDICT] == Verdict.AWAITED).any()
 
 
 @pytest.mark.parametrize('name', ['speed', 'twist'])
@@ -226,9 +226,9 @@ def test_wheels_that_slip_without_fixes_are_refused_at_once_and_used_again(name,
         for case, samples in (('rolls', right), ('slips', slipping)):
             errors[case].append(largest_errors(recording, {name: samples}, (90.0,)))
         result = run(config(name), recording.imu, recording.gnss, Aiding({name: slipping}))
-        record = result.measured.event[result.measured.kind == KINDS[name]]
+        event = result.measured.event[result.measured.kind == KINDS[name]]
         since = (result.measured.stamp[result.measured.kind == KINDS[name]] - recording.imu.stamp[0]) / SECOND
-        refused = since[record[:, Event.VERDICT] == Verdict.REFUSED]
+        refused = since[event[:, Event.VERDICT] == Verdict.REFUSED]
         # then with fixes, too, it is those that slip, from the first on, and few others
         assert ((refused > 109.9) & (refused < 113.1)).sum() > 55 and len(refused) < 70
     assert np.max(errors['slips']) < np.max(errors['rolls']) + 1.5, errors
@@ -245,9 +245,9 @@ def test_wheels_that_slip_again_and_again_cost_nothing_at_any_rate(rate, more):
     slipping = replace(speed, speed=speed.speed + more * slip)
     (off, result), (right, _) = (off_with_fixes(recording, {'speed': one}) for one in (slipping, speed))
     # then nearly all of that is refused, nearly nothing else, and the position is as with wheels that roll
-    record = result.measured.event[result.measured.kind == Kind.SPEED]
+    event = result.measured.event[result.measured.kind == Kind.SPEED]
     stamp = result.measured.stamp[result.measured.kind == Kind.SPEED]
-    refused, slip = record[:, Event.VERDICT] == Verdict.REFUSED, slip[np.searchsorted(speed.stamp, stamp)]
+    refused, slip = event[:, Event.VERDICT] == Verdict.REFUSED, slip[np.searchsorted(speed.stamp, stamp)]
     assert refused[slip].mean() > 0.9 and refused[~slip].mean() < 0.01
     assert rms(off) < 1.1 * rms(right)
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from filter_support import fix_record, newest, take_event
+from filter_support import fix_event, newest, take_event
 from scipy.stats import chi2, multivariate_normal
 from test_filter_contradiction import BOTH, Drive, a_state
 
@@ -387,6 +387,6 @@ def test_where_nothing_is_remembered_before_refused_fixes_there_is_no_second_fil
     assert are_refused(memory, r)
     before = newest(memory)
     # when it compares both
-    take_event(memory, fix_record(-1.0))  # far too late: not taken
+    take_event(memory, fix_event(-1.0))  # far too late: not taken
     # then it is the only one, and as it was
     assert memory[Bank.OPEN] == 0.0 and np.array_equal(newest(memory), before)

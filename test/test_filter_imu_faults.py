@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, started, take_all, take_event, take_sample
+from filter_support import HEIGHT, LATITUDE, configure, fix_event, newest, started, take_all, take_event, take_sample
 
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, newest_row, state_at, views
 from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu, is_wrong
@@ -203,7 +203,7 @@ def test_a_state_that_is_not_finite_is_taken_back(mechanization):
     change = covariance(after, config.layout) - covariance(before, config.layout)
     assert change[first, first] == pytest.approx(1.0) and change[-1, -1] == 0.0
     # and a late fix, behind which the filter repeats that sample, does not make it two
-    take_event(memory, fix_record(time - 0.3))
+    take_event(memory, fix_event(time - 0.3))
     assert newest(memory)[Nav.RESTARTS] == 1
 
 
@@ -218,8 +218,8 @@ def with_a_gap(mechanization, seconds, fixes=0.0):
     samples = np.column_stack([time, np.zeros((len(time), 6))])
     samples[:, 3] = gravity(LATITUDE, HEIGHT)
     at = np.arange(1.0 + fixes, 1.0 + seconds, fixes) if fixes else np.zeros(0)
-    records = np.array([fix_record(t, LATITUDE + SPEED * t / 6.37e6, r=1e8 * np.eye(2), down=1e8) for t in at])
-    take_all(memory, samples, records.reshape(-1, Event.SIZE), [Nav.V_N])
+    events = np.array([fix_event(t, LATITUDE + SPEED * t / 6.37e6, r=1e8 * np.eye(2), down=1e8) for t in at])
+    take_all(memory, samples, events.reshape(-1, Event.SIZE), [Nav.V_N])
     return config, memory
 
 

@@ -14,7 +14,7 @@ from filter_support import (
     LATITUDE,
     LONGITUDE,
     configure,
-    fix_record,
+    fix_event,
     newest,
     started,
     statistics_at,
@@ -84,7 +84,7 @@ class Receiver:
         self.position = true_position(self.time) + scatter * self.rng.standard_normal((len(self.time), 2))
 
     def through(self, sigma=SIGMA, mechanization='planar', offset=(0.0, 0.0), yaw=COURSE, late=0.0, **values):
-        """Memory, error of the position (k, 2) at each sample, m, and records of the fixes; sigma: as stated; late: s,
+        """Memory, error of the position (k, 2) at each sample, m, and events of the fixes; sigma: as stated; late: s,
         of all fixes or each."""
         config = configure({**TRUST, **values}, mechanization=mechanization)
         n = config.layout.n
@@ -96,16 +96,16 @@ class Receiver:
         memory = started(config, velocity=(SPEED * math.cos(COURSE), SPEED * math.sin(COURSE), 0.0),
                          attitude=(0.0, 0.0, yaw), p=p)
         views(memory)[2][0, [Nav.LATITUDE, Nav.LONGITUDE]] += np.array(offset) / SCALE
-        records = np.array([fix_record(t, LATITUDE + north / SCALE[0], LONGITUDE + east / SCALE[1],
+        events = np.array([fix_event(t, LATITUDE + north / SCALE[0], LONGITUDE + east / SCALE[1],
                                        r=s**2 * np.eye(2)) for t, (north, east), s in
                             zip(self.time, self.position, np.broadcast_to(sigma, len(self.time)))])
-        states, records = take_all(memory, self.samples, records, [Nav.LATITUDE, Nav.LONGITUDE], late)
+        states, events = take_all(memory, self.samples, events, [Nav.LATITUDE, Nav.LONGITUDE], late)
         error = (states - [LATITUDE, LONGITUDE]) * SCALE - true_position(self.samples[:, 0])
-        return config, memory, error, records
+        return config, memory, error, events
 
 
-def verdicts(records):
-    return records[:, Event.VERDICT].astype(int)
+def verdicts(events):
+    return events[:, Event.VERDICT].astype(int)
 
 
 BOTH = pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
@@ -113,9 +113,9 @@ BOTH = pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
 
 @BOTH
 def test_honest_fixes_are_used(mechanization):
-    _, memory, error, records = Receiver().through(mechanization=mechanization)
-    assert np.isin(verdicts(records), [Verdict.USED, Verdict.WEIGHTED]).all()
-    assert np.mean(verdicts(records) == Verdict.USED) > 0.95
+    _, memory, error, events = Receiver().through(mechanization=mechanization)
+    assert np.isin(verdicts(events), [Verdict.USED, Verdict.WEIGHTED]).all()
+    assert np.mean(verdicts(events) == Verdict.USED) > 0.95
     assert np.hypot(*error.T).max() < 3.5 * SIGMA
     assert newest(memory)[Nav.REFUSED] == 0 == newest(memory)[Nav.RECOVERIES]
 
@@ -125,9 +125,9 @@ def test_a_position_that_repeats_itself_while_the_vehicle_moves_is_refused(mecha
     # given a receiver that for 8 s repeats the position that it had
     receiver = Receiver()
     receiver.position[40:48] = receiver.position[39]
-    _, _, error, records = receiver.through(mechanization=mechanization)
-    assert (verdicts(records)[40:48] == Verdict.FROZEN).all() and not records[40:48, Event.WEIGHT].any()
-    assert not (verdicts(records)[:40] == Verdict.FROZEN).any() and verdicts(records)[48] != Verdict.FROZEN
+    _, _, error, events = receiver.through(mechanization=mechanization)
+    assert (verdicts(events)[40:48] == Verdict.FROZEN).all() and not events[40:48, Event.WEIGHT].any()
+    assert not (verdicts(events)[:40] == Verdict.FROZEN).any() and verdicts(events)[48] != Verdict.FROZEN
     # then the vehicle is where it is, not 12 m a second behind
     assert np.hypot(*error.T).max() < 5.0
     # and who trusts every fix is pulled behind
@@ -142,9 +142,9 @@ def test_a_position_that_repeats_itself_at_rest_is_used():
     memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=np.diag([1, 1, .01, .01, 1e-3,
                                                                                         1e-4, 1e-4, 1e-7]))
     samples = Receiver(30.0).samples
-    records = np.array([fix_record(t) for t in np.arange(0.5, 29.0)])
-    _, records = take_all(memory, samples, records, [Nav.LATITUDE])
-    assert (verdicts(records) == Verdict.USED).all()
+    events = np.array([fix_event(t) for t in np.arange(0.5, 29.0)])
+    _, events = take_all(memory, samples, events, [Nav.LATITUDE])
+    assert (verdicts(events) == Verdict.USED).all()
 
 
 def going_straight_on(duration=200.0):
@@ -159,11 +159,11 @@ def going_straight_on(duration=200.0):
 @BOTH
 def test_a_receiver_that_goes_straight_on_is_found_out_before_it_is_wrong(mechanization):
     receiver = going_straight_on()
-    _, _, error, records = receiver.through(mechanization=mechanization)
+    _, _, error, events = receiver.through(mechanization=mechanization)
     # those that were believed at first are withdrawn when they depart from the vehicle
-    assert (verdicts(records)[140:156] == Verdict.EXTRAPOLATED).all() and not records[140:156, Event.WEIGHT].any()
-    others = np.r_[:140, 156:len(records)]
-    assert np.isin(verdicts(records)[others], [Verdict.USED, Verdict.WEIGHTED]).all()
+    assert (verdicts(events)[140:156] == Verdict.EXTRAPOLATED).all() and not events[140:156, Event.WEIGHT].any()
+    others = np.r_[:140, 156:len(events)]
+    assert np.isin(verdicts(events)[others], [Verdict.USED, Verdict.WEIGHTED]).all()
     # and it costs no more than coasting through it, and the two sigma by which they depart
     receiver.time, receiver.position = receiver.time[others], receiver.position[others]
     _, _, coasting, _ = receiver.through(mechanization=mechanization)
@@ -182,58 +182,58 @@ def test_a_receiver_that_goes_straight_on_is_found_out_where_fixes_are_rare(mech
     gone = receiver.time[40:44, None] - receiver.time[39]
     receiver.position[40:44] = receiver.position[39] + gone * (
         SPEED * np.array([math.cos(COURSE), math.sin(COURSE)]) + [1.2, -1.6])
-    _, _, _, records = receiver.through(mechanization=mechanization)
+    _, _, _, events = receiver.through(mechanization=mechanization)
     # then they are refused, also the one that begins the line
-    assert (verdicts(records)[40:44] == Verdict.EXTRAPOLATED).all()
-    others = np.r_[:40, 44:len(records)]
-    assert np.isin(verdicts(records)[others], [Verdict.USED, Verdict.WEIGHTED]).all()
+    assert (verdicts(events)[40:44] == Verdict.EXTRAPOLATED).all()
+    others = np.r_[:40, 44:len(events)]
+    assert np.isin(verdicts(events)[others], [Verdict.USED, Verdict.WEIGHTED]).all()
 
 
 @BOTH
 @pytest.mark.parametrize('scatter, sigma', [(0.0, 3.0), (0.02, 0.02), (0.1, 3.0), (0.3, 3.0), (1.5, 1.5)])
 def test_a_receiver_that_measures_never_passes_for_one_that_goes_straight_on(mechanization, scatter, sigma):
     # also where it scatters by far less than it claims, and the vehicle does go straight on
-    _, _, _, records = Receiver(400.0, scatter=scatter).through(mechanization=mechanization, sigma=sigma)
-    assert not (verdicts(records) == Verdict.EXTRAPOLATED).any()
+    _, _, _, events = Receiver(400.0, scatter=scatter).through(mechanization=mechanization, sigma=sigma)
+    assert not (verdicts(events) == Verdict.EXTRAPOLATED).any()
 
 
 def last_fix_off(sigmas, mechanization):
-    """The record of a last fix that is so many sigmas of its innovation north of what is predicted, and the memory."""
+    """The event of a last fix that is so many sigmas of its innovation north of what is predicted, and the memory."""
     receiver, values = Receiver(20.0), {'gnss.adapt_sigma': False, 'mechanization': mechanization}
     receiver.position[-1] = true_position(receiver.time[-1:])
     r = receiver.through(**values)[3][-1]
     s = np.array([[r[Event.S_NN], r[Event.S_NE]], [r[Event.S_NE], r[Event.S_EE]]])
     receiver.position[-1] += r[[Event.Z_N, Event.Z_E]] - np.linalg.cholesky(s)[:, 0] * sigmas
-    _, memory, _, records = receiver.through(**values)
-    return records[-1], memory
+    _, memory, _, events = receiver.through(**values)
+    return events[-1], memory
 
 
 @BOTH
 def test_the_gate_is_where_the_share_of_honest_fixes_says(mechanization):
     limit = math.sqrt(-2 * math.log(1e-6))
     for factor, verdict in ((0.97, Verdict.WEIGHTED), (1.03, Verdict.REFUSED)):
-        record, memory = last_fix_off(factor * limit, mechanization)
-        assert record[Event.VERDICT] == verdict
-        assert record[Event.NIS] == pytest.approx((factor * limit) ** 2, rel=1e-3)
+        event, memory = last_fix_off(factor * limit, mechanization)
+        assert event[Event.VERDICT] == verdict
+        assert event[Event.NIS] == pytest.approx((factor * limit) ** 2, rel=1e-3)
         assert newest(memory)[Nav.REFUSED] == (verdict == Verdict.REFUSED)
 
 
 @BOTH
 def test_a_fix_beyond_three_sigma_counts_as_if_it_were_three(mechanization):
     for sigmas, verdict, weight in ((2.9, Verdict.USED, 1.0), (4.0, Verdict.WEIGHTED, 9 / 16)):
-        record, _ = last_fix_off(sigmas, mechanization)
-        assert record[Event.VERDICT] == verdict and record[Event.WEIGHT] == pytest.approx(weight, rel=1e-3)
+        event, _ = last_fix_off(sigmas, mechanization)
+        assert event[Event.VERDICT] == verdict and event[Event.WEIGHT] == pytest.approx(weight, rel=1e-3)
 
 
 def test_a_fix_within_five_metres_is_not_refused():
     # given a filter that is sure to the centimetre, and a fix of a centimetre that is 4 m off: hundreds of sigma
     receiver = Receiver(20.0, scatter=0.01)
     receiver.position[10] += [4.0, 0.0]
-    _, _, _, records = receiver.through(sigma=0.01, **{'gnss.adapt_sigma': False})
-    assert records[10, Event.NIS] > 400 and verdicts(records)[10] == Verdict.WEIGHTED
+    _, _, _, events = receiver.through(sigma=0.01, **{'gnss.adapt_sigma': False})
+    assert events[10, Event.NIS] > 400 and verdicts(events)[10] == Verdict.WEIGHTED
     receiver.position[10] += [2.0, 0.0]
-    _, _, _, records = receiver.through(sigma=0.01, **{'gnss.adapt_sigma': False})
-    assert verdicts(records)[10] == Verdict.REFUSED
+    _, _, _, events = receiver.through(sigma=0.01, **{'gnss.adapt_sigma': False})
+    assert verdicts(events)[10] == Verdict.REFUSED
 
 
 @BOTH
@@ -241,7 +241,7 @@ def test_a_fix_within_five_metres_is_not_refused():
 def test_fixes_that_agree_are_believed_after_the_stated_time(mechanization, jump, recovery):
     # given a filter that is far off and sure of it, and a receiver that is right
     receiver = Receiver()
-    config, memory, error, records = receiver.through(mechanization=mechanization, offset=(0.6 * jump, -0.8 * jump),
+    config, memory, error, events = receiver.through(mechanization=mechanization, offset=(0.6 * jump, -0.8 * jump),
                                                       yaw=COURSE, **{'gnss.recovery_time': recovery})
     # then what is published is as far off for that time, as the fixes may be wrong, and right from then on, to what it
     # says
@@ -250,7 +250,7 @@ def test_fixes_that_agree_are_believed_after_the_stated_time(mechanization, jump
     assert recovery <= first - receiver.time[0] < recovery + 2.5
     after = receiver.samples[:, 0] > first + 5.0
     assert off[after].max() < 5.0
-    got, used = verdicts(records), (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED)
+    got, used = verdicts(events), (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED)
     assert np.isin(got[receiver.time > first], used).all() and newest(memory)[Nav.RECOVERIES] == 1
     p = covariance(newest(memory), config.layout)
     assert error[-1] @ np.linalg.solve(p[:2, :2], error[-1]) < 14.0
@@ -261,9 +261,9 @@ def test_a_restart_from_fixes_is_counted_once_where_they_overtake_each_other(whi
     # given the same filter, and every second fix so late that the next one comes before it
     receiver = Receiver()
     late = np.where(np.arange(len(receiver.time)) % 2 == which, 1.5, 0.0)
-    _, memory, _, records = receiver.through(offset=(60.0, -80.0), late=late, **{'gnss.max_delay': 3.0})
+    _, memory, _, events = receiver.through(offset=(60.0, -80.0), late=late, **{'gnss.max_delay': 3.0})
     # then it starts anew once, also where the filter goes back behind the restart
-    assert np.count_nonzero(verdicts(records) == Verdict.RECOVERED) == 1 == newest(memory)[Nav.RECOVERIES]
+    assert np.count_nonzero(verdicts(events) == Verdict.RECOVERED) == 1 == newest(memory)[Nav.RECOVERIES]
 
 
 def test_a_new_start_forgets_how_large_the_innovations_of_the_old_state_were():
@@ -287,20 +287,20 @@ def test_fixes_among_refused_ones_never_decide_alone():
     angle = receiver.rng.uniform(-math.pi, math.pi, count)
     off = np.where(np.arange(count) % 2 == 0, 4.0, 50.0)
     receiver.position[40:] += off[:, np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    _, _, _, records = receiver.through(0.1, **{'gnss.adapt_sigma': False})
+    _, _, _, events = receiver.through(0.1, **{'gnss.adapt_sigma': False})
     # then none that does not fit is used as it is, as a row of fixes is that are off alike
-    used = verdicts(records) == Verdict.USED
-    assert used[:40].all() and records[used, Event.NIS].max() < 9.0
+    used = verdicts(events) == Verdict.USED
+    assert used[:40].all() and events[used, Event.NIS].max() < 9.0
 
 
 def test_refused_fixes_that_do_not_agree_do_not_win():
     # given a receiver that for the rest of the drive is somewhere within 200 m
     receiver = Receiver()
     receiver.position[40:] += 200.0 * receiver.rng.standard_normal(receiver.position[40:].shape)
-    _, memory, _, records = receiver.through(**{'gnss.adapt_sigma': False})
+    _, memory, _, events = receiver.through(**{'gnss.adapt_sigma': False})
     assert newest(memory)[Nav.RECOVERIES] == 0
     far = np.hypot(*(receiver.position[40:] - true_position(receiver.time[40:])).T) > 60
-    assert (verdicts(records)[40:][far] == Verdict.REFUSED).all()
+    assert (verdicts(events)[40:][far] == Verdict.REFUSED).all()
 
 
 # at 0.2 Hz the way in between hides a scatter of 75 times the claim; the start finds it (test_alignment.py)
@@ -311,7 +311,7 @@ def test_the_realised_sigma_of_the_receiver_is_learned(mechanization, factor, ap
     # given a receiver that states a sigma of 1 m and scatters by `factor` as much, with a fix each second or each five
     receiver = Receiver(200.0 * apart, scatter=SIGMA)
     receiver.time, receiver.position = receiver.time[::apart], receiver.position[::apart]
-    _, memory, error, records = receiver.through(sigma=SIGMA / factor, mechanization=mechanization, **{
+    _, memory, error, events = receiver.through(sigma=SIGMA / factor, mechanization=mechanization, **{
         'gnss.adapt_covariance': True})
     ratio = math.sqrt(scale(newest(memory), OfReceiver.SCALE))
     if mechanization == 'strapdown' or apart == 1:
@@ -322,7 +322,7 @@ def test_the_realised_sigma_of_the_receiver_is_learned(mechanization, factor, ap
         return
     # then the filter's NIS is that of the real one, or that of one whose errors may last, and it is as good as if told
     if factor >= 1.0:
-        assert np.median(records[60:, Event.NIS]) == pytest.approx(2 * math.log(2), rel=0.6)
+        assert np.median(events[60:, Event.NIS]) == pytest.approx(2 * math.log(2), rel=0.6)
         late = len(error) // 3
         told = receiver.through(SIGMA, mechanization)[2]
         assert np.sqrt(np.mean(error[late:]**2)) < 1.3 * np.sqrt(np.mean(told[late:]**2))
@@ -394,16 +394,16 @@ def test_good_fixes_pull_back_a_filter_that_is_too_sure_however_far_apart_they_a
     receiver.time, receiver.position = receiver.time[::apart], receiver.position[::apart]
     rms = {}
     for robust in (0.0, 3.0):
-        _, memory, error, records = receiver.through(0.02, mechanization, **{'gnss.robust_sigma': robust})
+        _, memory, error, events = receiver.through(0.02, mechanization, **{'gnss.robust_sigma': robust})
         rms[robust] = np.sqrt((error**2).sum(axis=1).mean())
     # then weighting down what does not fit costs little: it is not the receiver that errs
-    assert not np.isin(verdicts(records), [Verdict.REFUSED, Verdict.RECOVERED]).any()
+    assert not np.isin(verdicts(events), [Verdict.REFUSED, Verdict.RECOVERED]).any()
     assert rms[3.0] < 3.0 * rms[0.0] + 0.1, rms
 
 
-def long_run_variance(records, span=12):
+def long_run_variance(events, span=12):
     """Of the whitened innovations, both components: sum of their autocovariances up to `span` fixes (Bartlett)."""
-    used = records[20:]
+    used = events[20:]
     whitened = np.array([np.linalg.solve(np.linalg.cholesky(
         [[r[Event.S_NN], r[Event.S_NE]], [r[Event.S_NE], r[Event.S_EE]]]), r[[Event.Z_N, Event.Z_E]]) for r in used])
     return np.mean([sum((1 if k == 0 else 2 * (1 - k / span)) * np.mean(u[:len(u) - k] * u[k:]) for k in range(span))
@@ -429,11 +429,11 @@ def test_a_receiver_whose_errors_last_raises_the_covariance_and_moves_no_estimat
         for errors in factor:
             if errors == 'lasting':
                 receiver.position = lasting(receiver, 4.0)
-            (_, memory, error, records), (_, without, same, _) = [receiver.through(mechanization=mechanization, **{
+            (_, memory, error, events), (_, without, same, _) = [receiver.through(mechanization=mechanization, **{
                 'gnss.adapt_covariance': adapts}, **steady) for adapts in (True, False)]
             factor[errors].append(newest(memory)[Nav.VARIANCE_FACTOR])
             assert np.array_equal(error, same) and variance_factor(newest(without), 0) == 1.0
-        realised.append(long_run_variance(records))
+        realised.append(long_run_variance(events))
     # then it is the realised variance of the slow innovations, and that of white ones is as expected, not more
     assert np.mean(factor['white']) < 1.2 and np.mean(factor['lasting']) > 1.3 * np.mean(factor['white']), factor
     assert 0.5 < np.mean(factor['lasting']) / np.mean(realised) < 1.3, (factor, realised)
@@ -530,7 +530,7 @@ def test_noise_of_the_accelerometers_that_only_the_fixes_show_is_learned(scatter
     for seed in range(2):
         for found, learns in ((rms, True), (alone, False)):
             receiver = shaken(Receiver(300.0, scatter, seed))
-            _, memory, error, records = receiver.through(
+            _, memory, error, events = receiver.through(
                 scatter, 'strapdown', **{'gnss.adapt_covariance': True, 'vehicle.learn_drift': learns})
             found.append(np.sqrt(np.mean(error[len(error) // 2:] ** 2)) / scatter)
             if learns:
@@ -539,7 +539,7 @@ def test_noise_of_the_accelerometers_that_only_the_fixes_show_is_learned(scatter
                 known = np.searchsorted(receiver.samples[:, 0], receiver.time[len(receiver.time) // 2:], side='right')
                 behind.append(np.sqrt(np.mean(error[known[known < len(error)]] ** 2)) / scatter)
         # then no fix passes for one of a receiver that goes straight on, though the vehicle does, to the centimetre
-        assert not np.any(verdicts(records) == Verdict.EXTRAPOLATED)
+        assert not np.any(verdicts(events) == Verdict.EXTRAPOLATED)
     # then the noise is, to a factor, what such errors are to the velocity over seconds, 2 sigma^2 tau
     assert all(0.1 * 0.36 < q < 1.5 * 0.36 for q in learned), learned
     # and the filter is near the fixes, a second behind one off by what that scatters and by 0.2 m, what the
@@ -634,7 +634,7 @@ def test_a_way_ends_at_a_refused_fix_only_where_three_before_it_were_refused(ref
     way, now = statistics_at(config, Kind.SPEED), newest(memory)[Nav.TIME]
     views(memory)[2][:, [Nav.REFUSED, way + Seen.DISPLACEMENT_TIME, way + Seen.START]] = refused, now - 0.1, 0.0
     # when it refuses one more, which is some hundred metres off
-    take_event(memory, fix_record(now - 0.01, LATITUDE + 1e-4))
+    take_event(memory, fix_event(now - 0.01, LATITUDE + 1e-4))
     assert newest(memory)[Nav.REFUSED] == refused + 1
     # then a way begins there only if all of them cannot be outliers
     assert (newest(memory)[way + Seen.START] != 0.0) == (refused == 3)

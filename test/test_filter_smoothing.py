@@ -41,7 +41,7 @@ def _drive(seed=3):
 START = Start(0.0, LATITUDE, LONGITUDE, HEIGHT, np.array([3.0, -1.0]), 0.7, np.diag([4.0, 4.0, 1.0, 1.0, 0.01]), None)
 
 
-def _dense(config, imu, records):
+def _dense(config, imu, events):
     """States and covariances smoothed as Rauch, Tung and Striebel do, at each sample: (k, n), (k, n, n).
 
     The transition is what the kernel does to the estimate in open loop, covariances are inverted.
@@ -63,14 +63,14 @@ def _dense(config, imu, records):
         for i in range(n):
             moved = memory.copy()
             newest_row(moved)[NAV:NAV + n] = np.eye(n)[i]
-            take_all(moved, sample[None], records[:0], [0])
+            take_all(moved, sample[None], events[:0], [0])
             columns.append(of(moved)[0])
         transitions.append(np.column_stack(columns))
-        take_all(plain, sample[None], records[:0], [0])
+        take_all(plain, sample[None], events[:0], [0])
         prior = of(plain)
         prior_x.append(prior[0])
         prior_p.append(prior[1])
-        mine = records[np.abs(records[:, Event.TIME] - sample[0]) < 1e-6]
+        mine = events[np.abs(events[:, Event.TIME] - sample[0]) < 1e-6]
         mine[:, Event.TIME] = sample[0]
         take_all(memory, sample[None], mine, [0])
     now = of(memory)
@@ -95,9 +95,9 @@ def test_equals_a_dense_smoother(values):
     # when it is smoothed with every seventh state kept
     run = smoothing._Smoothing(config, imu, fixes, aiding, START, keep).run()
     # then it is what a dense smoother says that looks at every sample
-    records = run.measured.event.copy()
-    records[:, Event.VERDICT] = Verdict.PENDING
-    x, p = _dense(config, imu, records)
+    events = run.measured.event.copy()
+    events[:, Event.VERDICT] = Verdict.PENDING
+    x, p = _dense(config, imu, events)
     at = run.index - 1
     n = config.layout.n
     np.testing.assert_allclose(run.sigma, np.sqrt(p[at][:, np.arange(n), np.arange(n)]), rtol=1e-5)

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from filter_support import LATITUDE, LONGITUDE, configure, fix_record, started, take_all
+from filter_support import LATITUDE, LONGITUDE, configure, fix_event, started, take_all
 from scipy.signal import lfilter
 
 from mems_ins_fusion.filter.memory import Nav, Sample, sample_at
@@ -25,7 +25,7 @@ def quiet(seconds, rng):
 
 def fixes_of(north, interval, sigma, height=0.0):
     """Records of fixes that are `north`, m, of the start, one each `interval`, s, which claim sigma, m."""
-    return np.array([fix_record(interval * (k + 1) - 0.001, LATITUDE + z / (METRES + height), LONGITUDE, height,
+    return np.array([fix_event(interval * (k + 1) - 0.001, LATITUDE + z / (METRES + height), LONGITUDE, height,
                                 np.eye(2) * sigma**2) for k, z in enumerate(north)])
 
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 import pytest
-from filter_support import MODELS, configure, fix_record, started, take_all
+from filter_support import MODELS, configure, fix_event, started, take_all
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -45,7 +45,7 @@ def drives():
 
 
 def filtered(config, drive, seed):
-    """Navigation and sensor errors (k, N), (k, channels), states (k, width) and records of the fixes of one run."""
+    """Navigation and sensor errors (k, N), (k, channels), states (k, width) and events of the fixes of one run."""
     sensors = SensorErrors.from_parameters(config.parameters, config.parameters['sensor_error_model'])
     simulation = simulate_recording(drive, sensors, GnssNoise(SIGMA, 1.0), seed=seed)
     imu, gnss = simulation.recording.imu, simulation.recording.gnss
@@ -54,7 +54,7 @@ def filtered(config, drive, seed):
     north, east = coloured_noise(config, np.random.default_rng(2000 + seed), len(gnss))
     latitude = gnss.latitude + north / EARTH
     longitude = gnss.longitude + east / (EARTH * np.cos(gnss.latitude))
-    fixes = np.array([fix_record(*fix, SIGMA**2 * np.eye(2), (1.5 * SIGMA) ** 2) for fix in zip(
+    fixes = np.array([fix_event(*fix, SIGMA**2 * np.eye(2), (1.5 * SIGMA) ** 2) for fix in zip(
         (gnss.stamp - imu.stamp[0]) * 1e-9, latitude, longitude, gnss.height)])
     samples = np.column_stack([time, imu.specific_force, imu.angular_rate])[1:]
     states, fixes = take_all(memory, samples, fixes, np.arange(views(memory)[2].shape[1]))

@@ -12,8 +12,8 @@ from filter_support import (
     MODEL_VALUES,
     central_difference,
     configure,
-    fix_record,
-    input_record,
+    fix_event,
+    input_event,
     newest,
     random_covariance,
     started,
@@ -116,9 +116,9 @@ def test_a_fix_corrects_as_the_dense_joint_kalman_update(model, optional, mechan
     else:
         x0[navigation:] = scale[navigation:] * rng.standard_normal(config.layout.n_augmented)
     memories = [started(config, x=x0, p=p0) for _ in range(2)]
-    record = fix_record(DT, r=R, down=2.0)
-    record[Event.TIME_OFFSET] = max(config.layout.index('time_offset'), 0)
-    assert take_event(memories[1], record) == TAKEN
+    event = fix_event(DT, r=R, down=2.0)
+    event[Event.TIME_OFFSET] = max(config.layout.index('time_offset'), 0)
+    assert take_event(memories[1], event) == TAKEN
     for memory in memories:
         take_sample(memory, DT, *SAMPLE)
     before, after = newest(memories[0]), newest(memories[1])
@@ -156,7 +156,7 @@ def test_robust_weighting_brings_an_outlier_to_its_limit_and_leaves_others_alone
             config = configure({**values, 'gnss.robust_sigma': robust})
             scale = scale_of(config)
             memory = started(config, velocity=(0, 0, 0), p=np.diag(scale**2))
-            take_event(memory, fix_record(DT, latitude=LATITUDE + away / 6.4e6, r=R, down=100.0))
+            take_event(memory, fix_event(DT, latitude=LATITUDE + away / 6.4e6, r=R, down=100.0))
             before = started(config, velocity=(0, 0, 0), p=np.diag(scale**2))
             for m in (memory, before):
                 take_sample(m, DT, *SAMPLE)
@@ -187,7 +187,7 @@ def test_a_height_that_cannot_be_is_not_used_and_the_rest_of_the_fix_is(gate, co
     for height in (HEIGHT, HEIGHT + 100.0):
         p = np.diag(np.concatenate([[20.0, 20.0], scale_of(config)[2:]]) ** 2)
         memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
-        take_event(memory, fix_record(DT, latitude=LATITUDE + 30.0 / 6.4e6, height=height, down=1.0))
+        take_event(memory, fix_event(DT, latitude=LATITUDE + 30.0 / 6.4e6, height=height, down=1.0))
         take_sample(memory, DT, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0)
         assert views(memory)[4][0, Event.VERDICT] == Verdict.USED
         heights.append(newest(memory)[Nav.HEIGHT])
@@ -202,7 +202,7 @@ def test_a_height_that_fits_badly_is_weighted_down_to_the_limit():
     # given a height certain to 3 m, and a fix 30 m above, certain to 1 m: of nis 90
     config = configure({**MODEL_VALUES['GM'], 'mechanization': 'strapdown', 'gnss.robust_sigma': 3.0})
     memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=np.diag(scale_of(config) ** 2))
-    take_event(memory, fix_record(DT, height=HEIGHT + 30.0, down=1.0))
+    take_event(memory, fix_event(DT, height=HEIGHT + 30.0, down=1.0))
     take_sample(memory, DT, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0)
     # then R grows until S is ten times as large, nis 9: gain 9 / 100
     assert views(memory)[4][0, Event.VERDICT] == Verdict.USED and views(memory)[4][0, Event.WEIGHT] == 1.0
@@ -222,7 +222,7 @@ def test_covariance_stays_symmetric_and_positive_for_hours_of_exact_fixes(model)
     rate = np.tile(drive.angular_rate[1:] * [1, -1, -1], (hours, 1))
     time = 0.1 * np.arange(1, len(force) + 1)
     memory = started(config, velocity=(0, 0, 0), p=np.diag(scale_of(config) ** 2 * 100))
-    fixes = np.array([fix_record(t, r=1e-6 * np.eye(2), down=1e-6) for t in np.arange(0.55, time[-1], 1.0)])
+    fixes = np.array([fix_event(t, r=1e-6 * np.eye(2), down=1e-6) for t in np.arange(0.55, time[-1], 1.0)])
     _, fixes = take_all(memory, np.column_stack([time, force, rate]), fixes, [NAV])
     assert views(memory)[0][Head.SAMPLES] == len(time) >= 72000
     assert np.all(fixes[:, Event.VERDICT] == Verdict.USED)
@@ -244,7 +244,7 @@ def driven(config, events):
             wave = np.sin(np.arange(6) + 3.0 * rest[0] if rest else np.arange(6) + 3.0 * time)
             take_sample(memory, time, *(np.array(SAMPLE) + wave * [1, 1, 1, .1, .1, .1]))
         else:
-            answers.append(take_event(memory, fix_record(time, latitude=LATITUDE + rest[0] / 6.4e6, r=R)))
+            answers.append(take_event(memory, fix_event(time, latitude=LATITUDE + rest[0] / 6.4e6, r=R)))
     return memory, answers
 
 
@@ -296,7 +296,7 @@ def test_a_fix_that_comes_late_at_a_standstill_gives_what_one_in_time_gives():
         memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.7), p=0.01 * np.eye(config.layout.n))
         for time, rate in zip(times, rates):
             if time >= arrival > time - 0.01:
-                assert take_event(memory, fix_record(3.005, r=R)) == TAKEN
+                assert take_event(memory, fix_event(3.005, r=R)) == TAKEN
             take_sample(memory, time, 0.0, 0.0, 9.8, *rate)
         return memory
 
@@ -315,12 +315,12 @@ def test_a_late_fix_loses_nothing_of_a_fast_sensor_beside_it():
     def played(fix_after):
         memory = started(config, p=0.01 * np.eye(config.layout.n))
         for time in times:
-            speed = input_record(config, time - 0.005, Kind.SPEED)
+            speed = input_event(config, time - 0.005, Kind.SPEED)
             speed[[Event.VALUE, Event.R_NN]] = 13.0, 0.01
             assert take_event(memory, speed) == TAKEN
             take_sample(memory, time, *SAMPLE)
             if time == fix_after:
-                assert take_event(memory, fix_record(1.505, r=R)) == TAKEN
+                assert take_event(memory, fix_event(1.505, r=R)) == TAKEN
         return memory
 
     # then nothing is lost by it
@@ -333,15 +333,15 @@ def test_what_cannot_be_gone_back_behind_is_refused():
     memory, count = started(config, p=0.01 * np.eye(config.layout.n)), config.event_capacity + 1
     take_sample(memory, 0.01, *SAMPLE)
     for time in np.linspace(0.02, 5.0, count):
-        speed = input_record(config, time, Kind.SPEED)
+        speed = input_event(config, time, Kind.SPEED)
         speed[[Event.VALUE, Event.R_NN]] = 13.0, 0.01
         assert take_event(memory, speed) == TAKEN
         take_sample(memory, time + 1e-4, *SAMPLE)
     before = newest(memory)
     # then a fix from among those that are not is, and one behind them is taken
-    assert take_event(memory, fix_record(2.0, r=R)) == FORGOTTEN
+    assert take_event(memory, fix_event(2.0, r=R)) == FORGOTTEN
     assert np.array_equal(newest(memory), before)
-    assert take_event(memory, fix_record(4.0, r=R)) == TAKEN
+    assert take_event(memory, fix_event(4.0, r=R)) == TAKEN
 
 
 def test_a_fix_at_a_sample_stamp_acts_after_that_sample():

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from filter_support import LATITUDE, LONGITUDE, configure, fix_record, started, take_all
+from filter_support import LATITUDE, LONGITUDE, configure, fix_event, started, take_all
 
 from mems_ins_fusion.filter.memory import Nav, covariance_index, views
 from mems_ins_fusion.filter.trust.scale import PRIOR, Scale
@@ -37,7 +37,7 @@ def without_fixes(sigma, velocity=6.0, seconds=60.0, learned=True):
     memory = started(config, velocity=(velocity, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
     if learned:
         views(memory)[2][0][[UsualSpeed.SCALE + Scale.TIME, UsualSpeed.SCALE + Scale.REDUCED]] = -1.0, PRIOR
-    rows, _ = take_all(memory, coasting(seconds), np.zeros((0, len(fix_record(0.0)))),
+    rows, _ = take_all(memory, coasting(seconds), np.zeros((0, len(fix_event(0.0)))),
                        [Nav.TIME, Nav.V_N, *(covariance_index(k, k, config.layout) for k in (i, i + 1))])
     return rows[round(RATE) - 1::round(RATE)].T
 
@@ -71,7 +71,7 @@ def test_the_usual_speed_is_learned_from_fixes(speed):
     # given five minutes of fixes at a constant speed
     config = configure(EXACT)
     memory = started(config, velocity=(speed, 0.0, 0.0), attitude=(0.0, 0.0, 0.0))
-    fixes = np.array([fix_record(k - 0.001, LATITUDE + speed * k / METRES, LONGITUDE, 0.0, 0.01 * np.eye(2))
+    fixes = np.array([fix_event(k - 0.001, LATITUDE + speed * k / METRES, LONGITUDE, 0.0, 0.01 * np.eye(2))
                       for k in range(1, 300)])
     rows, _ = take_all(memory, coasting(300.0), fixes, [UsualSpeed.SCALE + Scale.LOG])
     # then the variance of a component is half its square, or somewhat more: that a vehicle was never faster than its

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from filter_support import configure, input_record, newest, started, take_all
+from filter_support import configure, input_event, newest, started, take_all
 from live_support import fed
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_support import PLAYABLE, Diagnostics, NodeProcess, Player, call, stamp_of
@@ -127,7 +127,7 @@ def test_it_is_what_the_filter_itself_comes_to(told):
         gravity = np.full(len(time), STANDARD_GRAVITY)
         samples = np.column_stack([time, 0 * time, 0 * time, gravity, np.zeros((len(time), 3))])
         speeds = np.zeros((len(time[4::5]) if told else 0, Event.SIZE))
-        speeds[:] = input_record(config, 0.0, Kind.SPEED)
+        speeds[:] = input_event(config, 0.0, Kind.SPEED)
         speeds[:, [Event.VALUE, Event.R_NN]] = 15.0, 0.1**2
         speeds[:, Event.TIME] = time[4::5][:len(speeds)]
         take_all(memory, samples, speeds, [0])

@@ -53,7 +53,7 @@ def naming(*patterns):
 
 
 def sensor(name, samples):
-    return rf'\b({name}_topic|add_{name}|{samples}|Kind\.{name.upper()}|{name}\.(observe|records)|recording\.{name})\b'
+    return rf'\b({name}_topic|add_{name}|{samples}|Kind\.{name.upper()}|{name}\.(observe|events)|recording\.{name})\b'
 
 
 @pytest.mark.parametrize(('title', 'patterns'), [

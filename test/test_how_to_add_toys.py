@@ -142,8 +142,8 @@ for k in (0.0, 0.1, 0.2, 0.3):
     values = table.check({**PAPER, 'mechanization': 'planar', 'gnss.sigma': 0.1, 'gnss.adapt_sigma': False,
                           'gyroscope.gauss_markov.sigma': [1e-5], 'gyroscope.initial_sigma': [1e-5]})
     config = FilterConfig.from_parameters(effect.adjusted(values, {'k': k}))
-    record = run(config, recording.imu, recording.gnss).measured.event
-    fits[k] = float(np.square(record[:, [Event.Z_N, Event.Z_E]]).sum())
+    event = run(config, recording.imu, recording.gnss).measured.event
+    fits[k] = float(np.square(event[:, [Event.Z_N, Event.Z_E]]).sum())
 print(json.dumps(fits))
 """)
     # then: that with the true one does best
