@@ -1,9 +1,9 @@
-"""Four numbers that stand side by side in an array, which the processor adds and multiplies at once.
+"""Vectors of four adjacent numbers of an array, which the processor adds and multiplies with one instruction.
 
-Compiled code gets them with `four` and writes them with `put`; numba by itself finds such groups only in loops of which
-it can prove that they write where they do not read, and those of the filter work on one array. In Python they are an
-array of four, so functions of numbers are functions of these as well. Each is computed as a number alone would be, to
-the last bit.
+In compiled code `four` reads such a vector and `put` writes one. numba itself uses vector instructions only in loops
+that certainly write to other memory than they read, and the functions of the filter read and write the same array. In
+Python a vector is an array of four, so functions of numbers can be called with vectors. The results are those of
+separate numbers, to the last bit.
 """
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ LANES = 4
 
 
 def four(array, at):
-    """The elements of `array` at `at` to at + 3, which is not negative."""
+    """The elements at to at + 3 of `array`. at: not negative."""
     return array[at:at + LANES].copy()
 
 
 def put(array, at, values):
-    """Write the four `values` to `array` at `at` to at + 3, which is not negative."""
+    """Write the four `values` to the elements at to at + 3 of `array`. at: not negative."""
     array[at:at + LANES] = values
 
 
@@ -78,7 +78,7 @@ def _lower_put(context, builder, signature, arguments):
 
 
 def _wide(builder, value):
-    """A number four times."""
+    """A vector with the same number four times."""
     if value.type == _VECTOR:
         return value
     single = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, cgutils.int32_t(0))

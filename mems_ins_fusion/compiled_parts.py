@@ -1,13 +1,14 @@
-"""What compiled code calls, compiled apart from what Python calls, in the steps that it needs: with numba's inside.
+"""Faster compilation with numba: functions that only compiled code calls, and only the compiler passes that are needed.
 
-numba by itself makes every function ready to be called from Python, and optimises it, down to machine code, together
-with all that it calls: what stands at the bottom of the filter goes through LLVM once for each floor above it. Here
-that is done for what Python calls; what compiled code calls is a part of it, linked into it once.
+numba makes each function callable from Python, and optimises and translates it together with all functions that it
+calls. So a function of the filter would be optimised once for each function above it in the call graph. Here only
+functions that Python calls are optimised and translated; a function called by compiled code is a *part*, whose LLVM
+code is linked once into each of them.
 
-Half of the rest is numba's Python. It makes a tuple of all columns where one is named, asks for each `+` what that may
-mean of strings, lists and records, looks up again how it is written down, and looks for closures and loops to unroll.
-Here a column is a number, what has been found is remembered, numbers and arrays have a short way, and steps for what
-the filter's code does not have are left out. The machine code computes the same, to the last bit.
+Half of the remaining time is numba's Python code. It builds a tuple of all columns where one column is named, resolves
+the types of each operator again, looks up its implementation, and searches for closures and loops to unroll. Here
+columns are constants, resolved types are remembered, numbers and array elements have a short path, and passes that the
+filter's code does not need are left out. The results are the same, to the last bit.
 """
 from __future__ import annotations
 
@@ -39,11 +40,11 @@ from numba.core.untyped_passes import (
 from numba.cpython import numbers
 from numba.np import arrayobj
 
-#: types for which an operator or a function means the same for all values
+#: types for which the result type of an operator or function does not depend on the value
 _PLAIN = types.Number, types.Boolean, types.Array
-#: but for these: of a constant exponent numba makes a product
+#: exceptions: numba replaces a power with a constant exponent by a product
 _BY_VALUE = operator.pow, operator.ipow
-#: how numba writes down an operator for two numbers of one type
+#: numba's implementation of an operator for two numbers of one type
 _OPERATORS = {
     (getattr(operator, name), kind, kind): getattr(numbers, f'{prefix}_{how}_impl')
     for kind, prefix, signed in ((types.float64, 'real', ''), (types.int64, 'int', 's'))
@@ -59,10 +60,11 @@ def compile_in_parts(function, options: dict) -> CPUDispatcher:
 
 
 class _Compiled(CPUDispatcher):
-    """numba's function, of which what compiled code calls (a part) is compiled apart from what Python calls.
+    """numba's dispatcher, in which a function called by compiled code (a part) is compiled separately from one that
+    Python calls.
 
-    A part has no entry for Python, is not kept by itself, and is one for all values of its arguments that the caller
-    knows: where that helps, LLVM makes use of them in the caller.
+    A part has no entry point for Python and no cache of its own. It is compiled once for all constant values of its
+    arguments; if a constant helps, LLVM uses it in the caller.
     """
 
     def __init__(self, function, **options):
@@ -70,7 +72,7 @@ class _Compiled(CPUDispatcher):
         self._parts: dict[tuple, compiler.CompileResult] = {}
 
     def get_call_template(self, args, kws):
-        """What numba asks where compiled code calls this function with arguments of these types."""
+        """Called by numba where compiled code calls this function with arguments of these types."""
         signature, args = self._compiler.fold_argument_types(args, kws)
         args = tuple(types.unliteral(kind) for kind in args)
         if args not in self._parts:
@@ -81,7 +83,7 @@ class _Compiled(CPUDispatcher):
         return make_concrete_template(name, name, signatures), signature, args, {}
 
     def get_overload(self, sig):
-        """What numba then knows the called part by."""
+        """Called by numba for the identity of the part that is called."""
         return self._parts[tuple(sigutils.normalize_signature(sig)[0])].entry_point
 
     def _compile_part(self, args):
@@ -97,25 +99,25 @@ class _Compiled(CPUDispatcher):
 
 
 class _Part(JITCodeLibrary):
-    """LLVM's code of one part, to be linked into what Python calls, optimised and translated there."""
+    """LLVM code of one part; it is linked into functions that Python calls, and optimised and translated there."""
 
     def finalize(self):
         self._finalized = True
 
 
 class _Whole(JITCodeLibrary):
-    """LLVM's code of what Python calls, with all its parts."""
+    """LLVM code of a function that Python calls, with all its parts."""
 
     def finalize(self):
         libraries = self._linking_libraries
-        for library in libraries:  # which grows within the loop
+        for library in libraries:  # the list grows within the loop
             if isinstance(library, _Part):
                 libraries += [called for called in library._linking_libraries if called not in libraries]
         super().finalize()
 
 
 class _Compiler(compiler.CompilerBase):
-    """Those steps of numba's that the filter's code needs: it has no closures, no `with` and no lists."""
+    """The passes of numba that the filter's code needs: it has no closures, no `with` and no lists."""
 
     def __init__(self, typing, target, library, *arguments):
         if library is None:
@@ -135,9 +137,9 @@ class _Compiler(compiler.CompilerBase):
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _Columns(FunctionPass):
-    """A column by its name, as `Nav.TIME`, is the number that it is.
+    """Replaces a column given by its name, such as `Nav.TIME`, by its number.
 
-    numba by itself makes a tuple of all columns there, with an instruction for each, and then takes one out.
+    numba itself would build a tuple of all columns there, with one instruction for each, and take one element of it.
     """
 
     _name = 'mems_ins_fusion_columns'
@@ -155,7 +157,7 @@ class _Columns(FunctionPass):
                     columns = _columns(guard(get_definition, code, value.value))
                     if value.attr in columns:
                         statement.value, found = ir.Const(columns[value.attr], value.loc), True
-        if found:  # the tuples are left over
+        if found:  # remove the tuples
             used = {var.name for block in blocks for statement in block.body for var in statement.list_vars()
                     if not isinstance(statement, ir.Assign) or var is not statement.target}
             for block in blocks:
@@ -166,13 +168,13 @@ class _Columns(FunctionPass):
 
 
 def _columns(value) -> dict:
-    """Numbers by their names where `value` is a global named tuple of them."""
+    """Numbers by name if `value` is a global named tuple."""
     named = value.value if isinstance(value, (ir.Global, ir.FreeVar)) else None
     return named._asdict() if isinstance(named, tuple) and hasattr(named, '_fields') else {}
 
 
 class _Typing(Context):
-    """numba's types, which remembers what operators and functions make of which."""
+    """numba's typing context, which remembers the result types of operators and functions."""
 
     __slots__ = ('_found',)
 
@@ -182,7 +184,7 @@ class _Typing(Context):
         super().refresh()
 
     def refresh(self):
-        """numba by itself looks for extensions of it at each function; the filter uses none."""
+        """numba itself searches for extensions at each function; the filter uses none."""
 
     def resolve_function_type(self, func, args, kws):
         is_compiled = isinstance(func, types.Type) and not isinstance(func, types.Function)
@@ -208,8 +210,9 @@ def _typing(context):
 
 
 class _Lower(lowering.Lower):
-    """numba's writing of LLVM's code, with a short way for an element of an array of one dimension and for two numbers
-    of one type. In functions with `_nrt=False` a position is never negative: no element is counted from the end."""
+    """numba's generation of LLVM code, with a short path for elements of one-dimensional arrays and for operators of
+    two numbers of one type. In functions with `_nrt=False` a position is never negative, so that it is not tested
+    whether an element is counted from the end."""
 
     def lower_getitem(self, resty, expr, value, index, signature):
         place = self._place(value, index, signature)
@@ -228,7 +231,7 @@ class _Lower(lowering.Lower):
         return arrayobj.store_item(self.context, self.builder, kind, element, place)
 
     def _place(self, array, index, signature):
-        """Pointer to the element; None: it is not so simple."""
+        """Pointer to the element; None if the short path cannot be used."""
         kind, at = signature.args[:2]
         is_simple = (isinstance(kind, types.Array) and kind.ndim == 1 and kind.layout == 'C'
                      and isinstance(kind.dtype, types.Number) and isinstance(at, types.Integer))
@@ -237,7 +240,7 @@ class _Lower(lowering.Lower):
         model, whole = self.context.data_model_manager[kind], self.loadvar(array.name)
         size = self.builder.extract_value(whole, (model.get_field_position('shape'), 0))
         position = self.context.cast(self.builder, self.loadvar(index.name), self.typeof(index.name), at)
-        if self.flags.nrt:  # functions that make no arrays are those of the filter, which counts from the begin
+        if self.flags.nrt:  # functions that create arrays may count elements from the end; those of the filter do not
             position = arrayobj.fix_integer_index(self.context, self.builder, at, position, size)
         return self.builder.gep(self.builder.extract_value(whole, model.get_field_position('data')), [position])
 

@@ -125,13 +125,13 @@ NEVER = {
     'refused fixes that have to agree': {'trust.new_start.AGREEMENT_SIGMAS': 1e9},
     'divergence that is significant': {'trust.new_start.SIGNIFICANCE': 2.0},
     # noise
-    'noise of the accelerometers, from fixes or a new start': {'trust.force_noise.ASSUMED': 1e-12},
+    'noise of the accelerometers, from fixes or a new start': {'trust.force_noise.ASSUMED_DENSITY': 1e-12},
     'accelerations instead of the constraint where noise hides turns': {'trust.white_noise.COMPARED_OVER': 0.0},
     'fixes that scatter less than they claim': {'trust.scale.SMALLEST_SCALE': 1.0},
     'errors of the receiver that last': {'trust.receiver.LARGEST_LASTING': 0.0},
     'scales that become another one': {'trust.scale.CHANGE_RATE': 0.0},
     'outliers when a scale is learned': {'trust.scale.OUTLIER_DENSITY': 1e-12},
-    'the least drift of the accelerometers': {'trust.drift.SMALLEST_RATIO': 0.0},
+    'the least drift of the accelerometers': {'trust.drift.SMALLEST_DRIFT_RATIO': 0.0},
     'the largest reduction that tells a drift': {'trust.drift.LARGEST_REDUCTION': 1e9},
     # standstills and motion
     'standstill denied by fixes': {'trust.standstill.SHORTEST_DISTANCE': 1e9},
@@ -143,10 +143,10 @@ NEVER = {
     # other inputs
     'slips of inputs': {'trust.inputs.SLIPPED': 1e9},
     'inputs that are far off': {'trust.inputs.GATE': 1e9, 'trust.inputs.NARROW_GATE': 1e9},
-    'displacements of inputs': {'trust.displacement.SIGNIFICANT': 1e9},
+    'displacements of inputs': {'trust.displacement.SHARE_SIGMAS': 1e9},
     'inputs that wait for a comparison': {'trust.displacement.COMPARED_SIGMA': 1e9},
     'inputs that have to be right for some time': {'trust.inputs.READMITTED_AFTER': 0.0},
-    'clocks that jump': {'trust.clock_jump.SIGNIFICANT': 1e9},
+    'clocks that jump': {'trust.clock_jump.OFFSET_SIGMAS': 1e9},
     'lively inputs that stop': {'trust.repeats.LIVELY': 1e9},
     'errors of a speed that last': {'trust.inputs.SPEED_CORRELATION': 0.0},
     'outliers that do not end a displacement': {'apply.MOST_OUTLIERS': 0.0},

@@ -51,7 +51,7 @@ from mems_ins_fusion.filter.memory import (
 )
 from mems_ins_fusion.filter.prediction import Turns
 from mems_ins_fusion.filter.runs import replay
-from mems_ins_fusion.filter.runs.horizon import EXCEEDED, LONGEST, HorizonPredictor
+from mems_ins_fusion.filter.runs.horizon import EXCEEDED, LONGEST_HORIZON, HorizonPredictor
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.trust.force_noise import ForceNoise
 from mems_ins_fusion.filter.trust.scale import Scale
@@ -62,7 +62,7 @@ from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import SensorErrors, simulate_drive, simulate_recording
 
 #: s, of an outage, which is as far as is looked ahead, and from one begin to the next
-DURATION, SPACING = LONGEST, 20.0
+DURATION, SPACING = LONGEST_HORIZON, 20.0
 #: the time offset of longmont (docs/closing_the_loop.md), s
 OFFSET = {'gnss.time_offset': -0.26}
 #: drawn anew for an interval

@@ -133,7 +133,7 @@ def test_the_new_filter_takes_over_where_it_does_not_show(late):
     # then one that has it takes over once, after it has settled, by no more than three sigma (1.5 deg of heading),
     handover, = fusion.handovers
     waited = (handover.stamp - late.imu.stamp[begin]) / SECOND
-    assert changing.SETTLING <= waited < changing.LONGEST and not fusion.changing
+    assert changing.SETTLING <= waited < changing.LONGEST_WAIT and not fusion.changing
     assert handover.position < 0.5 and abs(handover.yaw) < math.radians(4.5)
     # with the bits of a filter that began with the change, where the present one was,
     own = begun(values, late, begin, end)
@@ -189,12 +189,12 @@ def test_a_filter_that_the_fixes_show_to_be_better_does_not_wait(late, monkeypat
     # then it takes over as soon as it has settled
     handover, = fusion.handovers
     waited = (handover.stamp - late.imu.stamp[begin]) / SECOND
-    assert changing.SETTLING <= waited < changing.SETTLING + 20.0 < changing.LONGEST
+    assert changing.SETTLING <= waited < changing.SETTLING + 20.0 < changing.LONGEST_WAIT
 
 
 def test_what_is_published_does_not_jump_where_another_filter_takes_over(late, monkeypatch):
     # given a filter with another arm of the antenna, which takes over metres from the one before
-    monkeypatch.setattr(changing, 'LONGEST', changing.SETTLING)
+    monkeypatch.setattr(changing, 'LONGEST_WAIT', changing.SETTLING)
     monkeypatch.setattr(changing, 'LOST', math.inf)
     begin, end = 200 * 20, 280 * 20
     exact = {**APPLY, 'gyroscope.scale_sigma': 0.0}  # else a fix moves it by as much
@@ -239,7 +239,7 @@ def test_what_is_published_does_not_jump_where_another_filter_takes_over(late, m
 
 def test_the_trust_horizon_is_of_what_is_published_where_another_filter_takes_over(late, monkeypatch):
     # given a filter with another arm of the antenna, which takes over metres from the one before
-    monkeypatch.setattr(changing, 'LONGEST', changing.SETTLING)
+    monkeypatch.setattr(changing, 'LONGEST_WAIT', changing.SETTLING)
     monkeypatch.setattr(changing, 'LOST', math.inf)
     begin, limit, rows = 200 * 20, 1.0, []
     given = table.check({**APPLY, 'gnss.time_offset': OFFSET, 'horizon.limit': limit})
@@ -272,7 +272,7 @@ def test_the_trust_horizon_is_of_what_is_published_where_another_filter_takes_ov
 def test_a_filter_that_has_lost_its_way_does_not_take_over(late, monkeypatch):
     # given a new filter that may have run for long enough, and is not as certain as it has to be, or is
     begin, last = 200 * 20, 300 * 20
-    monkeypatch.setattr(changing, 'LONGEST', 80.0)
+    monkeypatch.setattr(changing, 'LONGEST_WAIT', 80.0)
     monkeypatch.setattr(changing, 'SHOWN_BETTER', math.inf)
     for lost, takes_over in ((0.1, False), (3.0, True)):
         monkeypatch.setattr(changing, 'LOST', lost)

@@ -17,7 +17,7 @@ from mems_ins_fusion.diagnosis.judgement import compared, harm
 from mems_ins_fusion.diagnosis.learned_mounting import angles
 from mems_ins_fusion.diagnosis.measured import fairly, measure
 from mems_ins_fusion.diagnosis.noise import calibrated, noise_unknowns
-from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, believed, stated, without_adaptation
+from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, stated, with_covariances, without_adaptation
 from mems_ins_fusion.diagnosis.trial_runs import FOR_EFFECTS, FOR_LEVELS, REPORTED, TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import compare, truth_of
@@ -169,7 +169,7 @@ def test_the_search_looks_through_a_filter_that_adapts_to_nothing(late):
     assert config.gnss.gate == config.parameters['gnss.robust_sigma'] == 0 and not config.parameters['gnss.adapt_sigma']
     assert 'time_offset' not in config.layout.names
     # each fix is believed as the filter of the user would, and FLOOR
-    fixes = believed(late.gnss, stated(late.gnss, values), np.log(2.0), np.arange(len(late.gnss)) == 7)
+    fixes = with_covariances(late.gnss, stated(late.gnss, values), np.log(2.0), np.arange(len(late.gnss)) == 7)
     assert np.allclose(fixes.covariance[:, 0, 0], (2 * 0.7) ** 2 + FLOOR**2)
     assert np.flatnonzero(fixes.status < 0).tolist() == [7]
     told = stated(late.gnss, table.check({}))

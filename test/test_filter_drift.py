@@ -12,7 +12,7 @@ from mems_ins_fusion.filter.runs import replay
 from mems_ins_fusion.filter.trust.drift import (
     DRIFT_MEMORY,
     DRIFT_PRIOR,
-    WINDOW,
+    DRIFT_WINDOW,
     Drift,
     learn_drift,
 )
@@ -115,8 +115,8 @@ def test_what_a_receiver_may_have_moved_is_no_drift(constraints, factor, moved, 
                         'vehicle.zero_velocity': constraints})
     memory = started(config)
     r, x, e = int(memory[Head.ROWS_AT]), NAV + 9, NAV + 15 + 9 * 15
-    told = 0.5 * WINDOW * 1e-10
-    memory[r + Nav.TIME], memory[r + Drift.TIME], memory[r + Nav.VARIANCE_FACTOR] = 1.0 + WINDOW, 1.0, factor
+    told = 0.5 * DRIFT_WINDOW * 1e-10
+    memory[r + Nav.TIME], memory[r + Drift.TIME], memory[r + Nav.VARIANCE_FACTOR] = 1.0 + DRIFT_WINDOW, 1.0, factor
     for k in range(3, 6):
         memory[r + Drift.BIAS_VARIANCE + k] = memory[r + Drift.BIAS + k] = 1e-9
         memory[r + x + k] = 1e-9 + np.sqrt(moved * told)

@@ -43,7 +43,7 @@ from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, TWIST_CO
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.results import MeasurementLog, columns, result
 from mems_ins_fusion.filter.start.initial import sensor_errors_of
-from mems_ins_fusion.filter.trust.force_noise import ASSUMED, ForceNoise, force_noise, learn_from_change
+from mems_ins_fusion.filter.trust.force_noise import ASSUMED_DENSITY, ForceNoise, force_noise, learn_from_change
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
 from mems_ins_fusion.filter.trust.line import Line
 from mems_ins_fusion.filter.trust.new_start import start_anew
@@ -561,7 +561,7 @@ def test_rare_fixes_show_whether_noise_that_was_found_is_still_there(density, rn
     share, scatter = 5.0**2 * 10.0 / 3.0, 6.0 * 1.5**2
     _, memory, _, _ = Receiver(20.0).through(1.5, 'strapdown', **{'vehicle.learn_drift': True})
     r = state_at(memory, int(memory[Head.SAMPLES]))
-    memory[r + ForceNoise.SCALE] = math.log(1.0 + 0.4 / ASSUMED)
+    memory[r + ForceNoise.SCALE] = math.log(1.0 + 0.4 / ASSUMED_DENSITY)
     learned = []
     for k in range(200):
         squared = 0.5 * np.sum(rng.normal(0.0, math.sqrt(scatter + density * share), 2) ** 2)

@@ -9,7 +9,7 @@ from filter_support import LATITUDE, LONGITUDE, configure, fix_event, started, t
 
 from mems_ins_fusion.filter.memory import Nav, covariance_index, views
 from mems_ins_fusion.filter.trust.scale import PRIOR, Scale
-from mems_ins_fusion.filter.trust.usual_speed import ASSUMED, CORRELATION, SHORTEST_OUTAGE, UsualSpeed
+from mems_ins_fusion.filter.trust.usual_speed import ASSUMED_VARIANCE, CORRELATION, SHORTEST_OUTAGE, UsualSpeed
 from mems_ins_fusion.navigation.earth import gravity, radii
 
 RATE = 20.0  # Hz
@@ -29,7 +29,7 @@ def coasting(seconds):
 
 def without_fixes(sigma, velocity=6.0, seconds=60.0, learned=True):
     """Each second: time, s, velocity north, m/s, its variance and that of the velocity east, of a filter that begins
-    with this sigma, m/s, and has no fix; learned: whether it knows that ASSUMED is usual."""
+    with this sigma, m/s, and has no fix; learned: whether it knows that ASSUMED_VARIANCE is usual."""
     config = configure(EXACT)
     i = config.layout.index('v_n')
     p = 1e-12 * np.eye(config.layout.n)
@@ -43,13 +43,13 @@ def without_fixes(sigma, velocity=6.0, seconds=60.0, learned=True):
 
 
 def test_without_fixes_the_usual_speed_is_one_measurement_in_each_correlation_time():
-    # given a velocity with a sigma of 30 m/s, of a vehicle that has usually ASSUMED
+    # given a velocity with a sigma of 30 m/s, of a vehicle that has usually ASSUMED_VARIANCE
     time, velocity, north, east = without_fixes(30.0)
     # then its information grows by that of the usual speed, until it is known as well as that alone,
-    applied = (time[:-1] > SHORTEST_OUTAGE) & (0.5 * (north + east)[1:] > ASSUMED)
+    applied = (time[:-1] > SHORTEST_OUTAGE) & (0.5 * (north + east)[1:] > ASSUMED_VARIANCE)
     grown = np.diff(1.0 / north)
-    assert grown[applied] == pytest.approx(1.0 / (CORRELATION * ASSUMED), rel=3e-3) and applied.sum() > 10
-    assert grown[(time[1:] < SHORTEST_OUTAGE) | (0.5 * (north + east)[:-1] < ASSUMED)] == pytest.approx(
+    assert grown[applied] == pytest.approx(1.0 / (CORRELATION * ASSUMED_VARIANCE), rel=3e-3) and applied.sum() > 10
+    assert grown[(time[1:] < SHORTEST_OUTAGE) | (0.5 * (north + east)[:-1] < ASSUMED_VARIANCE)] == pytest.approx(
         0.0, abs=2e-4)
     # and zero is that much nearer
     until = np.append(True, applied | (time[:-1] < SHORTEST_OUTAGE))
@@ -57,7 +57,7 @@ def test_without_fixes_the_usual_speed_is_one_measurement_in_each_correlation_ti
 
 
 def test_a_velocity_that_is_known_better_stays_as_it_is():
-    _, velocity, *_ = without_fixes(0.8 * math.sqrt(ASSUMED))
+    _, velocity, *_ = without_fixes(0.8 * math.sqrt(ASSUMED_VARIANCE))
     assert velocity == pytest.approx(6.0, abs=1e-6)
 
 
@@ -76,5 +76,5 @@ def test_the_usual_speed_is_learned_from_fixes(speed):
     rows, _ = take_all(memory, coasting(300.0), fixes, [UsualSpeed.SCALE + Scale.LOG])
     # then the variance of a component is half its square, or somewhat more: that a vehicle was never faster than its
     # mean in fifteen times CORRELATION is more likely chance than a rule
-    learned = ASSUMED * math.exp(rows[-1, 0])
+    learned = ASSUMED_VARIANCE * math.exp(rows[-1, 0])
     assert 0.5 * speed**2 < learned < 1.2 * speed**2

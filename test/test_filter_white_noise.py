@@ -86,7 +86,7 @@ def test_noise_of_the_accelerometers_that_fixes_have_shown_brings_in_how_vehicle
     config, memory = after(samples(10.0, 3e-4, 1e-3), **{'vehicle.non_holonomic': True})
     r, newest = (at(memory, int(memory[Head.SAMPLES])) for at in (state_at, sample_at))
     for density, noisy in ((0.1, False), (0.6, True)):
-        memory[r + force_noise.ForceNoise.SCALE] = math.log(1.0 + density**2 / force_noise.ASSUMED)
+        memory[r + force_noise.ForceNoise.SCALE] = math.log(1.0 + density**2 / force_noise.ASSUMED_DENSITY)
         learned = force_noise.force_noise(memory, r)
         assert learned == pytest.approx(density**2) and white_noise.hides_turns(memory, learned) == noisy
         # then turns still show in the samples

@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool
 
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Event, Kind, Nav, newest_row, set_covariance
-from mems_ins_fusion.filter.runs.horizon import LONGEST, STEP, HorizonPredictor, exceedance_probability
+from mems_ins_fusion.filter.runs.horizon import LONGEST_HORIZON, STEP, HorizonPredictor, exceedance_probability
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.odometry import published_covariance
 from mems_ins_fusion.filter.runs.replay import run_with_outages
@@ -70,7 +70,7 @@ def test_a_vehicle_that_goes_straight_on(mechanization):
     memory = started(config, p=p, attitude=(0.0, 0.0, math.atan2(-5.0, 12.0)), velocity=(12.0, -5.0, 0.0))
     horizon = HorizonPredictor(config).predict(memory)
     # then the sigma is that of the straight line and the parabola, and the horizon is where that is the limit's
-    times = np.arange(0.0, LONGEST, 0.01)
+    times = np.arange(0.0, LONGEST_HORIZON, 0.01)
     sigma = np.sqrt(0.5**2 + (0.1 * times)**2 + (0.5 * 0.01 * times**2)**2)
     expected = times[np.argmax(ROUND * sigma > 5.0)]
     assert expected < horizon.seconds <= expected + STEP + 0.02
@@ -110,7 +110,7 @@ def test_a_vehicle_that_stands_drives_off():
     assert horizon.seconds == pytest.approx(5.0 + (expected - 25.0) / 10.0, abs=2 * STEP)
     # and one that is known to stay where it is for ever
     config = configure({**config.parameters, 'horizon.speed': 0.0})
-    assert HorizonPredictor(config).predict(memory) == (LONGEST, 0.0)
+    assert HorizonPredictor(config).predict(memory) == (LONGEST_HORIZON, 0.0)
 
 
 @pytest.mark.parametrize('told', [False, True], ids=['', 'wheel speed'])
@@ -136,7 +136,7 @@ def test_it_is_what_the_filter_itself_comes_to(told):
     horizon = HorizonPredictor(config).predict(memory)
     assert np.array_equal(memory, untouched)
     # when it goes on with samples of such a road
-    assert 3.0 < horizon.seconds < LONGEST
+    assert 3.0 < horizon.seconds < LONGEST_HORIZON
     ahead(memory, 2.0, horizon.seconds)
     # then its own error has come to the limit
     variances = np.linalg.eigvalsh(published_covariance(newest(memory), config.layout)[:2, :2])
@@ -189,7 +189,7 @@ def test_the_node_tells_it(recording, peer):
         status = told[-1].status[0]
         values = {pair.key: float(pair.value) for pair in status.values}
         assert status.name == 'fusion_node: horizon' and status.level == b'\x00'
-        assert values['limit, m'] == limit and 1.0 < values['seconds'] < LONGEST
+        assert values['limit, m'] == limit and 1.0 < values['seconds'] < LONGEST_HORIZON
         assert f'{limit:g} m for {values["seconds"]:.1f} s, {values["metres"]:.0f} m' in status.message
         other = FilterConfig.from_parameters(table.check({'horizon.limit': limit}))
         same = horizons(other, recording)[stamp_of(told[-1])]

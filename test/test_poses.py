@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from mems_ins_fusion.configuration.configure import configure
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements.base import ODOMETRY
-from mems_ins_fusion.filter.measurements.pose import LONGEST, between
+from mems_ins_fusion.filter.measurements.pose import LONGEST_APART, between
 from mems_ins_fusion.filter.measurements.registry import TYPES, aiding
 from mems_ins_fusion.filter.runs.replay import run_with_outages
 from mems_ins_fusion.parameters import table
@@ -53,7 +53,7 @@ def test_a_circle_is_a_velocity_forwards_and_a_turn_rate():
 def test_what_is_no_way_is_not_one(wrong):
     step, place, attitude = np.full(3, 0.1), np.zeros((4, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
     if wrong in ('no step', 'too long'):
-        step[1] = 0.0 if wrong == 'no step' else LONGEST + 0.1
+        step[1] = 0.0 if wrong == 'no step' else LONGEST_APART + 0.1
     elif wrong == 'NaN':
         place[2, 1] = np.nan
     else:

@@ -290,7 +290,7 @@ def test_a_leading_one_that_is_not_believed_is_replaced(first, second, broken):
     whole, said = one(wrong, second)
     assert np.isfinite(whole.specific_force).all() and np.diff(whole.stamp).max() < 15_000_000
     assert (np.abs(errors(whole)[after(whole, 60.0)] - BIAS) < 6 * NOISE + 3e-3).all()
-    assert any(f'samples not believed: {broken}: the samples of /second' in text for text in said)
+    assert any(f'samples rejected: {broken}: the samples of /second' in text for text in said)
 
 
 def test_a_leading_one_that_becomes_noisy_is_replaced(first, second):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_applying import APPLY, SECOND, drive, fed
 
-from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.config import MOUNTING_STATES, FilterConfig
 from mems_ins_fusion.filter.memory import NAV, Head, Nav, covariance, newest_row, set_covariance, views
 from mems_ins_fusion.filter.runs import changing, snapshot, turning
 from mems_ins_fusion.filter.runs.turning import turns_into
@@ -158,7 +158,7 @@ def test_the_covariance_of_the_mounting_follows_its_angles():
     other = FilterConfig.from_parameters({**GIVEN, 'imu.mounting_rpy': [0.4, -0.3, 0.5]})
     memory, layout = config.memory(), config.layout
     row = views(memory)[2][0]
-    row[Nav.Q_W], states = 1.0, [layout.index(name) for name in turning.STATES]
+    row[Nav.Q_W], states = 1.0, [layout.index(name) for name in MOUNTING_STATES]
     full = np.zeros((layout.n, layout.n))
     full[states, states] = 1.0, 4.0
     set_covariance(row, layout, full)

@@ -12,7 +12,15 @@ from test_filter_live import in_order
 
 from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.filter.measurements import wheel_spectrum, wheel_vibration
-from mems_ins_fusion.filter.measurements.wheel_spectrum import AXES, BINS, POINTS, SHORTEST, WINDOW, Row, Spectrum
+from mems_ins_fusion.filter.measurements.wheel_spectrum import (
+    AXES,
+    BINS,
+    POINTS,
+    SHORTEST,
+    SPECTRUM_WINDOW,
+    Row,
+    Spectrum,
+)
 from mems_ins_fusion.filter.measurements.wheel_vibration import Lines, Wheels
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run
@@ -104,7 +112,7 @@ def test_what_stands_in_hz_is_no_line_any_more():
         rows[:400, Row.VALUES] += np.sin(2 * math.pi * 12.0 * 0.01 * np.arange(400))
         part[Spectrum.COUNT] = 400
         wheel_spectrum.look(part, 0, 2.5)
-        shown.append(part[Spectrum.POWER + round(2 * 12.0 * WINDOW)])
+        shown.append(part[Spectrum.POWER + round(2 * 12.0 * SPECTRUM_WINDOW)])
     assert shown[0] > 2.5 and abs(np.mean(shown[20:])) < 0.5
 
 
@@ -229,6 +237,6 @@ def test_samples_that_never_change_tell_nothing():
     rows = memory[ring + Spectrum.RING:ring + Spectrum.TAPER].reshape(POINTS, Row.SIZE)
     rows[:, Row.TIME], rows[:, Row.SPEED], memory[ring + Spectrum.COUNT] = SHORTEST, 10.0, POINTS
     for _ in range(30):
-        _, way, last = wheel_spectrum.look(memory, ring, wheel_vibration.HIGHEST)
+        _, way, last = wheel_spectrum.look(memory, ring, wheel_vibration.HIGHEST_FREQUENCY)
         wheel_vibration._search_circumference(memory, at, way, last)
     assert memory[at + Lines.VARIANCE_C] == 0.0

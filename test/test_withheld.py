@@ -9,7 +9,7 @@ from live_support import fed
 
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run_with_outages
-from mems_ins_fusion.filter.runs.withheld import AGES, APART, FIRST, PERIOD, WEIGHT, Withheld
+from mems_ins_fusion.filter.runs.withheld import AGES, COPIES_AT_ONCE, PERIOD, PERIODS_APART, WEIGHT, Withheld
 from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, learn_changes
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.samples import Aiding
@@ -100,7 +100,7 @@ def test_as_expected_before_it_is_known_to_be_less_and_as_seen_where_it_is_more(
 
 @pytest.mark.parametrize('worse, least, most', [(0.25, 0.05, 0.8), (3.0, 2.0, 20.0)])
 def test_sensors_that_are_better_or_worse_than_assumed(worse, least, most):
-    assert least < realised(drive(PERIOD * (FIRST + 6 * APART) + 5.0, worse)) < most  # twelve copies
+    assert least < realised(drive(PERIOD * (COPIES_AT_ONCE + 6 * PERIODS_APART) + 5.0, worse)) < most  # twelve copies
 
 
 def test_what_says_nothing_of_errors_while_driving():
@@ -117,9 +117,9 @@ def test_copies_follow_each_other_at_first_and_are_rare_later(monkeypatch):
         begun.append(time)
         copy(self, time, memory)
     monkeypatch.setattr(Withheld, '_copy', noted)
-    realised(drive(PERIOD * (FIRST + 2 * APART) + 5.0))
-    late = FIRST + APART * np.arange(1, 3)
-    assert begun == pytest.approx(PERIOD * np.array([*range(1, FIRST + 1), *late]), abs=0.05)
+    realised(drive(PERIOD * (COPIES_AT_ONCE + 2 * PERIODS_APART) + 5.0))
+    late = COPIES_AT_ONCE + PERIODS_APART * np.arange(1, 3)
+    assert begun == pytest.approx(PERIOD * np.array([*range(1, COPIES_AT_ONCE + 1), *late]), abs=0.05)
 
 
 def test_an_outage_withholds_what_is_from_satellites():

@@ -106,7 +106,7 @@ def configured(topics: Topics, drives: Sequence[Drive], fixes: Sequence[Fixes | 
     """The parameters of the vehicle that `drives` show together. fixes: of each, as recorded."""
     mounting = _together([drive.mounting for drive in drives if drive.mounting is not None])
     against = tuple(against_tf(topics, mounting))
-    if against:  # who is wrong in one place is not believed in another
+    if against:  # transforms with a wrong mounting of the IMU are not used for other sensors either
         topics = replace(topics, places={})
     # a frame left at its default says nothing of other sensors
     astray = dict(inputs_against_tf(topics, [drive.inputs for drive in drives]))

@@ -9,7 +9,7 @@ import numpy as np
 from ..filter.config import SENSORS
 from ..sensor_errors.models import MODELS
 from .fit import objective_of, priors
-from .problem import Problem, Unknown, believed
+from .problem import Problem, Unknown, with_covariances
 
 #: by sensor error model, the parameter of its noise level
 MODEL_NOISE = {name: model.level for name, model in MODELS.items()}
@@ -32,7 +32,7 @@ def noise_unknowns(problem: Problem) -> list[Unknown]:
     def receiver(values, recording, x):
         own = problem.of(recording)
         return values, replace(recording, gnss=replace(
-            recording.gnss, covariance=believed(own.drive.gnss, own.claimed, x, own.outlying).covariance))
+            recording.gnss, covariance=with_covariances(own.drive.gnss, own.claimed, x, own.outlying).covariance))
 
     groups = {f'{sensor}.noise': [f'{sensor}.noise_density', f'{sensor}.{model}'] for sensor in SENSORS}
     if problem.values['vehicle.non_holonomic']:

@@ -145,7 +145,7 @@ class Problem:
             self.outlying &= _refused(run(
                 FilterConfig.from_parameters({**other, **exact_offsets(other)}), self.drive.imu, self.drive.gnss,
                 aiding_of(recording), keep=np.zeros(len(self.drive.imu), dtype=bool)), len(self.stamp))
-        self.recording = replace(self.drive, gnss=believed(self.drive.gnss, self.claimed, 0.0, self.outlying))
+        self.recording = replace(self.drive, gnss=with_covariances(self.drive.gnss, self.claimed, 0.0, self.outlying))
         self.config = FilterConfig.from_parameters(self.values)
         self.start = self._start([self.values, *(without_adaptation(other, recording) for other in others)])
         if self.start is None:
@@ -183,7 +183,8 @@ class Problem:
         """The same problem with the fixes `outlying` (f,) left out, too."""
         other = copy.copy(self)
         other.outlying = self.outlying | outlying
-        other.recording = replace(self.recording, gnss=believed(self.drive.gnss, self.claimed, 0.0, other.outlying))
+        fixes = with_covariances(self.drive.gnss, self.claimed, 0.0, other.outlying)
+        other.recording = replace(self.recording, gnss=fixes)
         other.base = other.residual(other.values, other.recording)
         other.mask = self.mask & np.isfinite(other.base.z[:, 0])
         return other
@@ -359,7 +360,7 @@ def stated(fixes: Fixes, values: dict) -> np.ndarray:
     return covariance
 
 
-def believed(fixes: Fixes, claimed: np.ndarray, x: float, outlying: np.ndarray) -> Fixes:
+def with_covariances(fixes: Fixes, claimed: np.ndarray, x: float, outlying: np.ndarray) -> Fixes:
     """`fixes` with the covariances `claimed` times exp(2 x), plus FLOOR^2; those `outlying` (f,) are marked invalid."""
     covariance = np.exp(2 * x) * claimed + FLOOR**2 * np.eye(3)
     return replace(fixes, covariance=covariance, covariance_type=np.full(len(fixes), 3, dtype=np.uint8),

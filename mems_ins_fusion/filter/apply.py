@@ -37,9 +37,8 @@ from .trust.standstill import note_speed, shown_speed, stands
 from .trust.usual_speed import learn_speed
 from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
 
-#: number of fixes. Up to this many refused in a row are taken for outliers: they are not used as the end of a
-#: displacement with which an input is compared (`trust/displacement.py`). After more of them the filter may be the one
-#: that is wrong. Chosen, not measured
+#: largest number of fixes refused in a row that count as outliers: other inputs are not compared with them
+#: (`trust/displacement.py`). After more of them the filter may be wrong. Chosen, not measured
 MOST_OUTLIERS = 3.0
 
 

@@ -1,10 +1,10 @@
 """The compiled filter: one error-state Kalman filter for the live node and for the replay of whole recordings.
 
-The filter is one flat array of floats (`FilterConfig.memory`): a head with sizes and settings, noise parameters, a
-latest states and of some earlier ones (rows, see memory.py), a ring of the IMU samples between them, and the
-measurements of the same period. A late measurement is applied at its own time: the filter returns to the last state
-before it that it has and repeats the samples and measurements that followed. A copy of the array is an independent
-filter; replayed outages use copies.
+The filter is one flat array of floats (`FilterConfig.memory`): a head with sizes and settings, noise parameters, the
+latest states and some earlier ones (rows, see memory.py), a ring of the IMU samples between them, and the measurements
+of the same period. A late measurement is applied at its own time: the filter returns to the last state before it that
+is kept, and repeats the samples and measurements that followed. A copy of the array is an independent filter; replayed
+outages use copies.
 
 `run` is the only entry point. The live node calls it with one sample or measurement at a time, a replay with a whole
 recording. Both execute the same compiled code, so the results are the same to the last bit.

@@ -65,8 +65,8 @@ class _Nav(NamedTuple):
     LONG_PASSED: int = column(3)  # low-passed whitened innovations of the fixes, and their variance were they white
     VARIANCE_FACTOR: int = column()  # realised over expected variance of these innovations; below 1 it counts as 1
     CLAIM_LEVEL: int = column()  # mean logarithm of the claimed variance, m^2
-    LASTING: int = column()  # variance of the receiver's slow errors, m^2, which the estimated position contains,
-    ARM_VARIANCE: int = column()  # and of the lever arm of the antenna, forward and right each, m^2, as it does
+    LASTING: int = column()  # variance of the receiver's slow errors, m^2, which are part of the position error
+    ARM_VARIANCE: int = column()  # variance of the error of the antenna's lever arm, forward and right each, m^2
     # whether the fixes or the IMU are wrong, see trust/contradiction.py
     SLIDING_NIS: int = column()  # NIS of the lateral constraint, mean of the last second
     USUAL_SLIDING_NIS: int = column()  # the same NIS, long-term mean: what is usual for this vehicle
@@ -423,8 +423,7 @@ column = numbered()
 class _Event(NamedTuple):
     """Columns of one measurement: what was measured, and what the filter did with it.
 
-    It has up to three components, which are called N, E, D whatever
-    they are; the first two may be correlated.
+    It has up to three components, which are called N, E, D whatever they are; the first two may be correlated.
     """
 
     TIME: int = column()  # s since the epoch, at which it describes the vehicle
@@ -487,8 +486,9 @@ Verdict = _Verdict()
 
 
 #: number of newest states that are kept, a power of two: those of the default of gnss.max_delay at 100 Hz, and more. Of
-#: earlier states each NEWEST-th is kept, from which the samples up to another one are repeated. So many states (0.5 MB)
-#: stay in the processor's second-level cache: with all of them kept a sample takes 1.3 times as long on a busy machine
+#: earlier states each NEWEST-th is kept; others are computed from it by repeating the samples in between. This number
+#: of states (0.5 MB) fits into the processor's second-level cache. With all states kept, a sample takes 1.3 times as
+#: long on a busy machine
 NEWEST = 128
 #: first position of the noise parameters, which follow the head: white noise densities squared of the six axes
 WHITE = Head.SIZE

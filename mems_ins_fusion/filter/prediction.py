@@ -49,8 +49,8 @@ from .trust.white_noise import density
 #: of the settings: rad^2/s per (rad/s)^2, noise of a gyroscope for its squared rate: of an unknown scale factor error
 Turns = HEAD.place('Turns', NOISE=1)
 
-#: s that a turn lasts: a scale factor error turns the heading by its share of the angle, as white noise does that is so
-#: many times its variance as dense. A bend of 90 deg at 20 deg/s
+#: s, duration of a turn: a bend of 90 deg at 20 deg/s. White noise whose density squared is this time the variance of
+#: the rate error changes the heading in such a turn by as much as the scale factor error does
 TURN_TIME = 5.0
 #: m/s^2, standard deviation of the vehicle's acceleration during a gap in the IMU samples. Chosen: a car in traffic
 GAP_ACCELERATION = 1.5
@@ -204,7 +204,7 @@ def _row(mem, at):
 
 @njit(inline='always')
 def _planar_columns(mem, dt, f_n, f_e, c, s, k, step, q, sensor_step):
-    """`_planar_column` of the column that it is asked for and of the three behind it."""
+    """`_planar_column` of four columns that stand side by side."""
     return planar.error_step(
         dt, f_n, f_e, c, s, four(mem, k), four(mem, k + step), four(mem, k + 2 * step), four(mem, k + 3 * step),
         four(mem, k + 4 * step), four(mem, q), four(mem, q + sensor_step), four(mem, q + 2 * sensor_step))

@@ -93,12 +93,12 @@ def normalized_square(a, b, s_nn, s_ne, s_ee):
 def update(mem, r, at, n, dimensions, factor, repeated, robust, gate, robust_alone):
     """Correct the state at r with the event at `at`, whose rows of H follow P in the scratch. Returns the `Verdict`.
 
-    dimensions: number of components, 1 to 3. factor: multiplies the covariance R of the event. repeated: so many such
-    measurements have the same error and together count as one. Each is tested by what it says alone; then R is
-    multiplied by this. robust: for a larger normalized innovation R is raised until it has this value. gate: a larger
-    normalized innovation is refused. robust or gate 0: not applied. The first two components have one normalized
-    innovation; the third has its own, with robust_alone for robust, and where it is beyond the gate only the third is
-    left out.
+    dimensions: number of components, 1 to 3. factor: multiplies the covariance R of the event. repeated: number of
+    successive measurements with the same error, which together count as one. The tests are applied to the measurement
+    alone; then R is multiplied by this number. robust: if the normalized innovation is larger, R is raised until it has
+    this value. gate: a larger normalized innovation is refused. robust or gate 0: not applied. The first two components
+    have a common normalized innovation. The third has its own, with robust_alone instead of robust, and beyond the gate
+    only the third is left out.
     """
     p = int(mem[Head.SCRATCH_AT])
     h = p + n * n

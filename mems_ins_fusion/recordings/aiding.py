@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mems_ins_fusion.filter.measurements.base import Measurement, SensorSettings
-from mems_ins_fusion.filter.measurements.pressure import HIGHEST, LOWEST, SEA_LEVEL, height_of
+from mems_ins_fusion.filter.measurements.pressure import HIGHEST_PRESSURE, LOWEST_PRESSURE, SEA_LEVEL, height_of
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.recordings.motion import (
@@ -128,7 +128,7 @@ def _advice(measurement: Measurement, remarks: list[Remark], declared, settings:
         return 'factor', f"set {measurement.name}.factor to {sign * settings.factor / shown['ratio']:.5g}"
     if name == 'pressure' and 'ratio' in shown:
         middle = shown['ratio'] * SEA_LEVEL
-        per = next((per for per in PRESSURES.values() if LOWEST <= middle * per <= HIGHEST), None)
+        per = next((per for per in PRESSURES.values() if LOWEST_PRESSURE <= middle * per <= HIGHEST_PRESSURE), None)
         return ('factor', f'set {measurement.name}.factor to {settings.factor * per:g}') if per else ('', '')
     if name == 'magnetometer' and 'ratio' in shown:
         per = _field_unit(shown['ratio'] * _EARTH)
@@ -263,7 +263,7 @@ def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Remark]:
 def pressure_factor(pressures: Pressures) -> float | None:
     """Factor that converts `pressures` to Pa; None if no unit fits."""
     middle = float(np.nanmedian(pressures.pressure)) if np.isfinite(pressures.pressure).any() else 0.0
-    return next((per for per in PRESSURES.values() if LOWEST <= middle * per <= HIGHEST), None)
+    return next((per for per in PRESSURES.values() if LOWEST_PRESSURE <= middle * per <= HIGHEST_PRESSURE), None)
 
 
 def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Remark]:
@@ -274,15 +274,16 @@ def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Remark
     if not len(finite):
         return
     middle = float(finite[len(finite) // 2])
-    if not LOWEST <= middle <= HIGHEST:
-        unit = next((unit for unit, per in PRESSURES.items() if LOWEST <= middle * per <= HIGHEST), None)
+    if not LOWEST_PRESSURE <= middle <= HIGHEST_PRESSURE:
+        unit = next((unit for unit, per in PRESSURES.items()
+                     if LOWEST_PRESSURE <= middle * per <= HIGHEST_PRESSURE), None)
         seems = f'it seems to be in {unit} instead of Pa' if unit else 'no unit makes it an air pressure'
         yield Remark(ERROR, 'pressure', f'the pressure is {middle:.4g} Pa: {seems}', {'ratio': middle / SEA_LEVEL})
         return
     if finite[0] == finite[-1]:
         yield Remark(WARNING, 'pressure', 'the pressure is the same in every message', {'count': len(finite)})
         return
-    heights = replace(pressures, pressure=height_of(np.clip(pressures.pressure, LOWEST, HIGHEST)))
+    heights = replace(pressures, pressure=height_of(np.clip(pressures.pressure, LOWEST_PRESSURE, HIGHEST_PRESSURE)))
     compared = _compare('pressure', heights, heights.pressure, fixes)
     if isinstance(compared, Remark):
         yield compared

@@ -26,7 +26,7 @@ from mems_ins_fusion.filter.kernel import run
 from mems_ins_fusion.filter.memory import Event
 from mems_ins_fusion.filter.runs.replay import Copies, Events, Playback
 from mems_ins_fusion.filter.runs.results import columns
-from mems_ins_fusion.filter.runs.withheld import APART, FIRST
+from mems_ins_fusion.filter.runs.withheld import COPIES_AT_ONCE, PERIODS_APART
 
 #: samples before the count, and in it
 WARM, COUNTED = 1000, 3000
@@ -57,9 +57,9 @@ def run_case(values: dict, switch) -> None:
 
 def run_copies(switch) -> None:
     """Counted three times, over the samples of whole copies: the defaults with the second copy, with those after
-    FIRST copies, and without."""
-    later = FIRST + APART
-    samples, fixes, arrival = recording((later + APART + 1) * COUNTED / 6000 + 0.1)
+    COPIES_AT_ONCE copies, and without."""
+    later = COPIES_AT_ONCE + PERIODS_APART
+    samples, fixes, arrival = recording((later + PERIODS_APART + 1) * COUNTED / 6000 + 0.1)
     numbers = np.arange(len(fixes))
     fixes[:, Event.ID] = numbers
     config, memory = started({})
@@ -67,13 +67,13 @@ def run_copies(switch) -> None:
     work = Playback(samples, Events(numbers, numbers, arrival, fixes, 0 * numbers), names, kept,
                     np.zeros((len(samples), len(names))))
     copies = Copies(config, work, 0.0)
-    for begin, end in ((2, 3), (later, later + APART)):
+    for begin, end in ((2, 3), (later, later + PERIODS_APART)):
         copies.advance(memory, begin * COUNTED)
         switch.on()
         copies.advance(memory, end * COUNTED)
         switch.off()
     switch.on()
-    work.advance(memory, (later + APART + 1) * COUNTED)
+    work.advance(memory, (later + PERIODS_APART + 1) * COUNTED)
     switch.off()
 
 
@@ -102,8 +102,9 @@ def main() -> None:
     for name, without, whole in zip(CASES, counts[::2], counts[1::2]):
         print(f'{name:13} {(whole - without) / COUNTED:7.0f}')
     first, later, without = counts[-3:]
-    print(f'with copies   {first / COUNTED:7.0f} ({first / without:.3f} times), later {later / (APART * COUNTED):.0f} '
-          f'({later / (APART * without):.3f} times)')
+    later /= PERIODS_APART
+    print(f'with copies   {first / COUNTED:7.0f} ({first / without:.3f} times), later {later / COUNTED:.0f} '
+          f'({later / without:.3f} times)')
 
 
 if __name__ == '__main__':

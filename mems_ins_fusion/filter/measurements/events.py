@@ -5,8 +5,8 @@ import numpy as np
 
 from ..memory import Event
 
-STEP = 1e-3  # s, half the interval of the central differences in a simulation
-FASTEST = 150.0  # m/s, largest velocity that is not refused: no land vehicle is faster
+DIFFERENCE_STEP = 1e-3  # s, half the interval of the central differences in a simulation
+LARGEST_VELOCITY = 150.0  # m/s, largest velocity that is not refused: no land vehicle is faster
 #: m/s (for a turn rate rad/s), lower limit of the standard deviation of a velocity, whatever the message states
 SMALLEST_SPEED_SIGMA = 0.001
 #: largest standard deviation of a measurement, over its default one: it weighs nothing, and in any unit its square is a
@@ -45,5 +45,5 @@ def velocity_at(drive, time: np.ndarray, arm: np.ndarray) -> np.ndarray:
     velocity = drive.at(time).velocity
     if not np.any(arm):
         return velocity
-    before, after = (drive.at(time + step).attitude.apply(arm) for step in (-STEP, STEP))
-    return velocity + (after - before) / (2 * STEP)
+    before, after = (drive.at(time + step).attitude.apply(arm) for step in (-DIFFERENCE_STEP, DIFFERENCE_STEP))
+    return velocity + (after - before) / (2 * DIFFERENCE_STEP)

@@ -1,10 +1,10 @@
-"""The low pass that an input comes through: a bus, a driver or a sensor that smooths what it measures.
+"""Lag of an input behind a low pass: a bus, a driver or a sensor that smooths the measured value.
 
-What comes out of a first-order low pass of the time constant tau, 1 / (1 + tau s), is behind what goes in by a value
-that follows the changes and decays: in an interval T in which it changes by D, from u to u exp(-T / tau) + D tau / T
-(1 - exp(-T / tau)). The changes are those that the inertial sensors show from one message of the input to the next,
-without what the messages correct. At a constant acceleration it is tau times that: the part of the time offset that
-the low pass makes, so the event is of the time of the stamp less the rest (`FilterConfig.time_offset_of`).
+The output of a first-order low pass, 1 / (1 + tau s), lags behind its input by u. In an interval T in which the input
+changes by D, u becomes u exp(-T / tau) + D tau / T (1 - exp(-T / tau)). D is the change by the inertial sensors from
+one message of the input to the next, without the corrections by the messages. At a constant acceleration u is tau times
+the acceleration, which is a part of the time offset of the input. So only the rest of the time offset is subtracted
+from the stamp (`FilterConfig.time_offset_of`).
 """
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from mems_ins_fusion.compiled import njit
 from ..memory import Event, Kind
 from ..trust.scale import Seen, seen_of
 
-#: s without a message, in time constants, after which nothing is behind: the low pass has had the time to follow
+#: time without a message, in time constants, after which the lag is zero again
 FOLLOWED_AFTER = 5.0
 
 
 @njit(_nrt=False)
 def unfollowed(mem, r, at, now):
-    """By how much the event at `at` is behind `now`, the forward speed of the state at r, m/s, or its heading, rad: as
-    far as its low pass has not followed yet."""
+    """Lag of the event at `at` behind `now`, which is the forward speed, m/s, or the heading, rad, of the state at r.
+    """
     change = now - mem[seen_of(mem, r, at) + Seen.LEFT]
     if mem[at + Event.KIND] == Kind.HEADING:
         change = math.atan2(math.sin(change), math.cos(change))
@@ -31,7 +31,7 @@ def unfollowed(mem, r, at, now):
 
 @njit(_nrt=False)
 def unfollowed_turn(mem, r, at, rate):
-    """The same of the turn rate of an odometry, rad/s; rate: that of the gyroscopes."""
+    """Lag of the turn rate of an odometry, rad/s. rate: turn rate by the gyroscopes, rad/s."""
     own = seen_of(mem, r, at)
     change, mem[own + Seen.TURN] = rate - mem[own + Seen.TURN], rate
     return _follow(mem, r, at, Seen.UNFOLLOWED_TURN, change)
@@ -39,14 +39,14 @@ def unfollowed_turn(mem, r, at, rate):
 
 @njit(_nrt=False)
 def _follow(mem, r, at, column, change):
-    """Carry on the value in the first of two columns of the input's `Seen`, the second of which has its time.
+    """Update the lag in the first of two columns of the input's `Seen`; the second one is its time. Returns the lag.
 
-    change: since the message before.
+    change: of the input of the low pass since the previous message.
     """
     lag, at_value = mem[at + Event.LAG], seen_of(mem, r, at) + column
     before, mem[at_value + 1] = mem[at_value + 1], mem[at + Event.TIME]
     since = mem[at + Event.TIME] - before
-    if before == 0.0 or not 0.0 < since < FOLLOWED_AFTER * lag:  # without a low pass always
+    if before == 0.0 or not 0.0 < since < FOLLOWED_AFTER * lag:  # always true without a low pass, lag 0
         mem[at_value] = 0.0
     else:
         keep = math.exp(-since / lag)

@@ -31,7 +31,7 @@ from .time_offset import add_time_offset
 #: names of the states, after that of the input: hard iron forward and to the right; strength of the horizontal field
 #: less 1; soft iron: field along the vehicle over that across it, and along one diagonal over that along the other;
 #: rad, error of the declination
-STATES = 'hard_x', 'hard_y', 'strength', 'stretch', 'skew', 'declination'
+FIELD_STATES = 'hard_x', 'hard_y', 'strength', 'stretch', 'skew', 'declination'
 
 
 @njit(_nrt=False)
@@ -84,7 +84,7 @@ def observe(mem, r, at, h, n, c, sample):
         add(mem, row, Error.PHI_N, by_n * (by_yaw - about) + f_z * (w_x * sin + w_y * cos))
         add(mem, row, Error.PHI_E, by_e * (by_yaw - about) - f_z * (w_x * cos - w_y * sin))
         z = w_x * z_x + w_y * z_y
-        for i in range(len(STATES)):  # not linear: `update` subtracts H times the estimate
+        for i in range(len(FIELD_STATES)):  # not linear: `update` subtracts H times the estimate
             z += mem[row + first + i] * mem[x + i]
         if k == 0:
             mem[at + Event.Z_N] = z
@@ -164,7 +164,7 @@ class Magnetometer(Measurement):
 
     @property
     def state(self):
-        return f'{self.name}_{STATES[0]}'
+        return f'{self.name}_{FIELD_STATES[0]}'
 
     def states(self, values):
         def value(name):
@@ -172,7 +172,7 @@ class Magnetometer(Measurement):
         hard = value('hard_iron_sigma') / value('horizontal_field'), value('hard_iron_walk') / value('horizontal_field')
         soft = value('soft_iron_sigma'), SOFT_WALK
         each = (hard, hard, (STRENGTH_SIGMA, SOFT_WALK), soft, soft, (value('declination_sigma'), 0.0))
-        return {f'{self.name}_{name}': one for name, one in zip(STATES, each)}
+        return {f'{self.name}_{name}': one for name, one in zip(FIELD_STATES, each)}
 
     def settings(self, values: Mapping):
         rpy = values[f'{self.name}.mounting_rpy'] or values['imu.mounting_rpy']

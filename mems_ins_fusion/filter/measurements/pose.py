@@ -14,7 +14,7 @@ from .twist import Twist
 
 #: s: poses further apart in time give no velocity: the mean velocity is not that in the middle any more, and the source
 #: may have restarted in between
-LONGEST = 1.0
+LONGEST_APART = 1.0
 
 
 class Pose(Twist):
@@ -31,7 +31,7 @@ class Pose(Twist):
 
     def refusal(self, twist):
         if np.isnan(twist).any():
-            return f'a pose that is not finite, or not 0 to {LONGEST:g} s after the one before: dropped'
+            return f'a pose that is not finite, or not 0 to {LONGEST_APART:g} s after the one before: dropped'
         return super().refusal(twist)
 
     def read(self, fields, message):
@@ -70,7 +70,7 @@ def between(step: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> 
 
     step (n - 1,): s. position (n, 3): m. orientation (n, 4): quaternions x, y, z, w from forward-left-up axes. The axes
     of the result are those of the mean attitude. NaN where a pose is not finite, and where a step is not above 0 and at
-    most LONGEST.
+    most LONGEST_APART.
     """
     from scipy.spatial.transform import Rotation  # imported here: it is slow to load, and only poses need it
 
@@ -79,7 +79,7 @@ def between(step: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> 
     with np.errstate(invalid='ignore'):
         length = np.linalg.norm(orientation, axis=1)
         whole = np.isfinite(position).all(axis=1) & np.isfinite(length) & (length > 0.0)
-        usable = whole[1:] & whole[:-1] & (step > 0.0) & (step <= LONGEST)
+        usable = whole[1:] & whole[:-1] & (step > 0.0) & (step <= LONGEST_APART)
     attitude = Rotation.from_quat(np.where(whole[:, None], orientation, (0.0, 0.0, 0.0, 1.0)))
     turned = (attitude[:-1].inv() * attitude[1:]).as_rotvec()
     half_way = attitude[:-1] * Rotation.from_rotvec(0.5 * turned)

@@ -30,8 +30,8 @@ VERTICAL_95 = 1.96
 STATUS_OF = {-1: -1, 0: 0, 1: 1, 33: 1, 18: 1, 20: 1, 2: 2, 19: 2}
 FEWEST_SATELLITES = 3  # a message with fewer satellites (but not zero: not counted) has no position
 SMALLEST_SIGMA = 0.001  # m, lower limit of the standard deviation of a fix, whatever the message states
-LOWEST = -1000.0  # m above the ellipsoid, smallest height of a land vehicle
-HIGHEST = 10000.0  # m above the ellipsoid, and its largest
+LOWEST_HEIGHT = -1000.0  # m above the ellipsoid, smallest height of a land vehicle
+HIGHEST_HEIGHT = 10000.0  # m above the ellipsoid, and its largest
 
 
 @njit(_nrt=False)
@@ -91,8 +91,8 @@ def observe_place(mem, r, at, h, n, c):
 @register_jitable
 def is_place(latitude, longitude, height):
     """Whether a land vehicle can be at a position, rad and m; false for NaN. Of numbers or of arrays."""
-    return ((abs(latitude) <= math.pi / 2) & (abs(longitude) <= 2 * math.pi) & (height >= LOWEST)
-            & (height <= HIGHEST))
+    return ((abs(latitude) <= math.pi / 2) & (abs(longitude) <= 2 * math.pi) & (height >= LOWEST_HEIGHT)
+            & (height <= HIGHEST_HEIGHT))
 
 
 @register_jitable
@@ -142,7 +142,7 @@ def _reason(latitude: float, longitude: float, height: float, status: float) -> 
     if not is_place(latitude, longitude, 0.0):
         return f'latitude {degrees[0]:.9g}, longitude {degrees[1]:.9g} deg is not on earth: fix dropped'
     if not is_place(latitude, longitude, height):
-        return f'altitude {height:g} m is outside {LOWEST:g} to {HIGHEST:g} m: fix dropped'
+        return f'altitude {height:g} m is outside {LOWEST_HEIGHT:g} to {HIGHEST_HEIGHT:g} m: fix dropped'
     return 'latitude 0, longitude 0 is what receivers send without a fix: fix dropped'
 
 

@@ -1,8 +1,8 @@
 """Height from air pressure by the standard atmosphere. Weather and geoid are a slow bias: only changes of height count.
 
-Where the air flows past a moving vehicle the pressure changes by a share of the dynamic pressure, rho v^2 / 2: of a
-cabin with open windows a third less, of a duct in the front as much more. That is a height of v^2 / (2 g), 20 m at 20
-m/s, times the share, which is a state.
+The air flow past a moving vehicle changes the pressure by a share of the dynamic pressure, rho v^2 / 2: a third less in
+a cabin with open windows, a third more in a duct at the front. This is an error of the height of the share times
+v^2 / (2 g), which is 20 m at 20 m/s. The share is a state.
 
 Source: U.S. Standard Atmosphere, 1976 (NOAA-S/T 76-1562), eq. 33a: the layer up to 11 km, in geopotential height, which
 differs from height by 1 m in 2500 m.
@@ -25,21 +25,25 @@ from .events import empty, refuse, stated_or
 from .geometry import add
 from .time_offset import add_time_offset
 
-#: s for which an error of the velocity lasts: all pressures of that time tell no more than one of what it makes of them
-LASTING = 10.0
+#: s for which an error of the velocity lasts. It causes nearly the same error in all pressures of that time, so
+#: together they have the weight of one. Chosen, not measured
+VELOCITY_ERROR_TIME = 10.0
 
 
 @njit(_nrt=False)
 def _add_second_order(mem, r, at, share, state):
-    """Set R of the event at `at` to the variance of the pressure and what H leaves out: the product of the errors of
-    share and velocity, and the square of that of the velocity. state: index of the share; P is in the scratch."""
+    """Set R of the event at `at` to the variance of the pressure plus that of the second-order terms, which H does not
+    contain: (error of share) x (error of velocity), and (error of velocity)^2.
+
+    state: index of the share among the states. P is in the scratch.
+    """
     n = int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
     unknown = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * state]
     speeds = velocity_variance(mem, r) / STANDARD_GRAVITY**2
     squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
     more = unknown * squared * speeds + 0.5 * (share * share + unknown) * (STANDARD_GRAVITY * speeds) ** 2
     since = mem[at + Event.TIME] - mem[seen_of(mem, r, at) + Scale.TIME]
-    mem[at + Event.R_NN] = mem[at + Event.VALUE + 2] + max(1.0, LASTING / max(since, 1e-3)) * more
+    mem[at + Event.R_NN] = mem[at + Event.VALUE + 2] + max(1.0, VELOCITY_ERROR_TIME / max(since, 1e-3)) * more
 
 
 @njit(_nrt=False)
@@ -62,30 +66,31 @@ def observe(mem, r, at, h):
 
 SEA_LEVEL = 101325.0  # Pa, of the standard atmosphere at sea level
 SCALE_HEIGHT = 288.15 / 0.0065  # m: temperature at sea level (K) over lapse rate (K/m)
-EXPONENT = 8.31432 * 0.0065 / (9.80665 * 0.0289644)  # gas constant times lapse rate over gravity and molar mass
-LOWEST = 40000.0  # Pa, smallest pressure on land: the highest road is at 5900 m
-HIGHEST = 115000.0  # Pa, largest pressure: the lowest mine is 500 m below the sea
+#: gas constant times lapse rate, over gravity times molar mass
+PRESSURE_EXPONENT = 8.31432 * 0.0065 / (9.80665 * 0.0289644)
+LOWEST_PRESSURE = 40000.0  # Pa, smallest pressure on land: the highest road is at 5900 m
+HIGHEST_PRESSURE = 115000.0  # Pa, largest pressure: the lowest mine is 500 m below the sea
 SMALLEST_SIGMA = 0.1  # Pa, lower limit of the standard deviation of a pressure, whatever the message states
 
 
 def is_air(pressure: np.ndarray) -> np.ndarray:
     """(n,) whether `pressure` (n,), Pa, can be that of the air on land; false for NaN."""
-    return (pressure >= LOWEST) & (pressure <= HIGHEST)
+    return (pressure >= LOWEST_PRESSURE) & (pressure <= HIGHEST_PRESSURE)
 
 
 def height_of(pressure: np.ndarray) -> np.ndarray:
     """Height (n,), m, at which the standard atmosphere has `pressure` (n,), Pa."""
-    return SCALE_HEIGHT * (1.0 - (pressure / SEA_LEVEL) ** EXPONENT)
+    return SCALE_HEIGHT * (1.0 - (pressure / SEA_LEVEL) ** PRESSURE_EXPONENT)
 
 
 def pressure_at(height: np.ndarray) -> np.ndarray:
     """Inverse of `height_of`."""
-    return SEA_LEVEL * (1.0 - height / SCALE_HEIGHT) ** (1.0 / EXPONENT)
+    return SEA_LEVEL * (1.0 - height / SCALE_HEIGHT) ** (1.0 / PRESSURE_EXPONENT)
 
 
 def metres_per_pascal(pressure: np.ndarray) -> np.ndarray:
     """Height gained for each pascal less, m/Pa, at `pressure` (n,), Pa."""
-    return SCALE_HEIGHT * EXPONENT / SEA_LEVEL * (pressure / SEA_LEVEL) ** (EXPONENT - 1.0)
+    return SCALE_HEIGHT * PRESSURE_EXPONENT / SEA_LEVEL * (pressure / SEA_LEVEL) ** (PRESSURE_EXPONENT - 1.0)
 
 
 class Pressure(Measurement):
@@ -128,8 +133,8 @@ class Pressure(Measurement):
         n, pressure = len(pressures), pressures.pressure
         r, reasons = empty(Kind.PRESSURE, n), {}
         possible = is_air(pressure)
-        refuse(reasons, ~possible, lambda i: f'pressure {pressure[i]:g} Pa is outside {LOWEST:g} to {HIGHEST:g} Pa: '
-               f'dropped (a wrong {self.name}.factor?)')
+        refuse(reasons, ~possible, lambda i: f'pressure {pressure[i]:g} Pa is outside {LOWEST_PRESSURE:g} to '
+               f'{HIGHEST_PRESSURE:g} Pa: dropped (a wrong {self.name}.factor?)')
         there = np.where(possible, pressure, SEA_LEVEL)
         r[:, Event.VALUE], r[:, Event.VALUE + 1] = height_of(there), settings.offset
         r[:, Event.R_NN] = stated_or(pressures.variance, settings, SMALLEST_SIGMA) * metres_per_pascal(there) ** 2

@@ -11,7 +11,7 @@ from ...parameters.parameter import Parameter
 from ...samples import Speeds
 from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, covariance36
-from .events import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
+from .events import LARGEST_VELOCITY, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
 from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, vehicle_to_level
 from .low_pass import unfollowed
 from .time_offset import acceleration, add_time_offset
@@ -77,7 +77,7 @@ class Speed(Measurement):
         speeds = self.declared(settings, speeds)
         n, speed = len(speeds), speeds.speed
         r, reasons = empty(Kind.SPEED, n), {}
-        refuse(reasons, ~(np.abs(speed) < FASTEST), lambda i: f'speed {speed[i]:g} m/s: dropped')
+        refuse(reasons, ~(np.abs(speed) < LARGEST_VELOCITY), lambda i: f'speed {speed[i]:g} m/s: dropped')
         r[:, Event.VALUE] = speed
         r[:, Event.R_NN] = stated_or(speeds.variance, settings, SMALLEST_SPEED_SIGMA)
         return r, reasons, {}

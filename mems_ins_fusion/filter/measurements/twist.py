@@ -16,7 +16,7 @@ from ...parameters.parameter import Parameter
 from ...samples import Twists
 from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, SensorSettings, covariance36
-from .events import FASTEST, SMALLEST_SPEED_SIGMA, STEP, empty, refuse, stated_or, velocity_at
+from .events import DIFFERENCE_STEP, LARGEST_VELOCITY, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
 from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, vehicle_to_level
 from .low_pass import unfollowed, unfollowed_turn
 from .time_offset import acceleration, add_time_offset
@@ -137,7 +137,7 @@ class Twist(Measurement):
         n, twist = len(twists), twists.twist.copy()
         r, reasons = empty(Kind.TWIST, n), {}
         with np.errstate(invalid='ignore'):
-            refuse(reasons, ~(np.abs(twist).max(axis=1) < FASTEST), lambda i: self.refusal(twist[i]))
+            refuse(reasons, ~(np.abs(twist).max(axis=1) < LARGEST_VELOCITY), lambda i: self.refusal(twist[i]))
         # drivers fill a component that they do not measure with zero and a small variance
         twist[:, 1:][twist[:, 1:] == 0.0] = np.nan
         r[:, Event.VALUE:Event.VALUE + 3] = twist
@@ -170,8 +170,8 @@ class Twist(Measurement):
         scale, turn_scale = errors['twist_scale'], errors['twist_turn_scale']
         scale, turn_scale = 1.0 + np.array([scale, turn_scale]) * rng.standard_normal(2)
         velocity = np.einsum('kij,ki->kj', drive.at(time).attitude.as_matrix(), velocity_at(drive, time, self.arm))
-        before, after = (np.unwrap(drive.at(time + step).yaw) for step in (-STEP, STEP))
-        turn = np.arctan2(np.sin(after - before), np.cos(after - before)) / (2.0 * STEP)
+        before, after = (np.unwrap(drive.at(time + step).yaw) for step in (-DIFFERENCE_STEP, DIFFERENCE_STEP))
+        turn = np.arctan2(np.sin(after - before), np.cos(after - before)) / (2.0 * DIFFERENCE_STEP)
         if self.is_plain:  # at the rear axle, which does not slip sideways
             velocity[:, 0], velocity[:, 1] = drive.path.wheel_speed(time), 0.0
         sideways = errors['twist_lateral_sigma']

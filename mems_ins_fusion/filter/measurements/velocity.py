@@ -11,7 +11,7 @@ from ...navigation.frames import ned_covariance_from_enu, ned_from_enu
 from ...samples import Velocities
 from ..memory import Error, Event, Kind, Nav, row_of
 from .base import TWIST, Measurement, covariance36
-from .events import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
+from .events import LARGEST_VELOCITY, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
 from .geometry import add, add_attitude_error, angular_rate, arm_of, rotate
 from .time_offset import acceleration, add_time_offset
 
@@ -51,7 +51,7 @@ class Velocity(Measurement):
         r, reasons = empty(Kind.VELOCITY, n), {}
         with np.errstate(over='ignore', invalid='ignore'):
             vertical = np.where(np.isnan(v[:, 2]), 0.0, v[:, 2])
-            refuse(reasons, ~(np.hypot(np.hypot(v[:, 0], v[:, 1]), vertical) < FASTEST),
+            refuse(reasons, ~(np.hypot(np.hypot(v[:, 0], v[:, 1]), vertical) < LARGEST_VELOCITY),
                    lambda i: f'velocity {v[i, 0]:g}, {v[i, 1]:g}, {v[i, 2]:g} m/s (north, east, down): dropped')
         # receivers without a vertical velocity send NaN, or always zero
         v[:, 2][v[:, 2] == 0.0] = np.nan

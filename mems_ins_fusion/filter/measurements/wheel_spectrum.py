@@ -20,13 +20,14 @@ from ..columns import numbered
 
 #: s, duration of a window: a line is 0.5 Hz wide, which is 1 m/s at the first harmonic and 0.3 m/s at the third; in a
 #: longer window the error of the speed smears the lines
-WINDOW = 4.0
+SPECTRUM_WINDOW = 4.0
 POINTS = 512  # steps of distance in a window: 0.3 m each at 40 m/s, two for each cycle of the third harmonic
 #: s: samples are averaged to at least this interval, so that the ring of POINTS rows holds a window
-SHORTEST = 1.01 * WINDOW / POINTS
+SHORTEST = 1.01 * SPECTRUM_WINDOW / POINTS
 AXES = 6  # three accelerometers, three gyroscopes
-NEIGHBOURHOOD = 16  # bins to either side that are the neighbourhood: 2 Hz
-HIGHEST = 0.9  # highest frequency used, as a share of the Nyquist frequency: interpolation removes power near that
+NEIGHBOUR_BINS = 16  # bins to either side that are the neighbourhood: 2 Hz
+#: highest frequency used, as a share of the Nyquist frequency: interpolation removes power near that
+HIGHEST_SHARE = 0.9
 #: lower limit of the logarithm of the power over its neighbourhood, so that no single bin decides against a line.
 #: Chosen, not measured
 LEAST = -1.5
@@ -87,7 +88,7 @@ def begin(part: np.ndarray) -> None:
 def _newest(mem, at):
     """The window that ends with the newest row: number of its rows, duration (s) and distance (m)."""
     count, n, time, way = int(mem[at + Spectrum.COUNT]), 0, 0.0, 0.0
-    while n < min(count, POINTS) and time < WINDOW - 0.5 * SHORTEST:
+    while n < min(count, POINTS) and time < SPECTRUM_WINDOW - 0.5 * SHORTEST:
         row = at + Spectrum.RING + Row.SIZE * ((count - 1 - n) % POINTS)
         time += mem[row + Row.TIME]
         way += mem[row + Row.TIME] * mem[row + Row.SPEED]
@@ -161,7 +162,7 @@ def _neighbourhood(mem, at, power, last, bound):
             value = min(max(value, mem[level + j] - bound), mem[level + j] + bound)
         mem[total + j + 1] = mem[total + j] + value
     for j in range(last + 1):
-        low, high = max(j - NEIGHBOURHOOD, 0), min(j + NEIGHBOURHOOD, last) + 1
+        low, high = max(j - NEIGHBOUR_BINS, 0), min(j + NEIGHBOUR_BINS, last) + 1
         mem[level + j] = (mem[total + high] - mem[total + low]) / (high - low)
 
 
@@ -172,7 +173,7 @@ def look(mem, at, highest):
     highest: highest frequency of interest, cycles per metre.
     """
     n, time, way = _newest(mem, at)
-    last = int(min(HIGHEST * n, 2.0 * highest * way + 2 * NEIGHBOURHOOD, POINTS))
+    last = int(min(HIGHEST_SHARE * n, 2.0 * highest * way + 2 * NEIGHBOUR_BINS, POINTS))
     _resample(mem, at, n, way)
     re, im = at + Spectrum.REAL, at + Spectrum.IMAGINARY
     for pair in range(AXES // 2):

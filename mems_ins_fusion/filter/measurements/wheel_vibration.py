@@ -47,7 +47,7 @@ from ..memory import (
 )
 from .acceleration import error_variance
 from .geometry import angular_rate
-from .wheel_spectrum import AXES, BINS, MEAN_OVER, POINTS, SHORTEST, WINDOW, Row, Spectrum, look
+from .wheel_spectrum import AXES, BINS, MEAN_OVER, POINTS, SHORTEST, SPECTRUM_WINDOW, Row, Spectrum, look
 from .wheel_spectrum import begin as begin_spectrum
 
 #: position of the columns `Lines` in the memory, 0: wheel_vibration is off
@@ -61,14 +61,14 @@ PARAMETER = Parameter(
 HOP = 2.0  # s between windows: tapered windows that overlap by half are nearly independent
 SLOWEST = 4.0  # m/s: below this speed the lines of the wheels lie among those of the suspension
 FASTEST_TURN = 0.1  # rad/s: above this turn rate the wheels of the two sides have different speeds, and lines split
-TURN_TIME = 0.5  # s, time constant of the low pass of the turn rate
+TURN_LOW_PASS = 0.5  # s, time constant of the low pass of the turn rate
 HARMONICS = 4  # multiples of the revolution that are looked at
 CHANNELS = AXES * HARMONICS
-STEP = 0.003  # step of the grid of x: at 40 m/s a line of the third harmonic is 0.5 % wide
+LOG_STEP = 0.003  # step of the grid of x: at 40 m/s a line of the third harmonic is 0.5 % wide
 HALF = 85  # grid points to either side of x = 0
 GRID = 2 * HALF + 1
 MIDDLE = 1.94  # m, geometric mean of the circumferences searched, 1.5 to 2.5: cars and vans
-HIGHEST = HARMONICS / MIDDLE * math.exp(STEP * HALF)  # highest frequency looked at, cycles per metre
+HIGHEST_FREQUENCY = HARMONICS / MIDDLE * math.exp(LOG_STEP * HALF)  # highest frequency looked at, cycles per metre
 NO_POWER = -99.0  # power of a grid point beyond the spectrum
 LINE_HALF_WIDTH = 17  # half width of a line, grid points (5 %): these are left out of the mean beside it
 SCORE_HALF_WIDTH = 2  # error of the filter's own speed that the score allows, grid points to either side (0.6 %)
@@ -96,7 +96,7 @@ LARGEST_C_SIGMA = 0.01  # standard deviation of ln C above which no speed is rep
 EXPONENT = 0.2
 #: exponent of the likelihood of one window, for the circumference: only channels share their errors
 EXPONENT_SINGLE = 0.5
-FEWEST = 20.0  # windows before which no speed is reported: 40 s of straight driving
+FEWEST_WINDOWS = 20.0  # windows before which no speed is reported: 40 s of straight driving
 PROVEN = 3.0  # sigmas by which the mean score must exceed zero before a speed is reported
 NO_LINE = 0.3  # prior probability of a window without a line
 WITHOUT_FIX = 3.0  # s after the last fix used from which there are no fixes
@@ -173,7 +173,7 @@ def checked_calibration(values) -> np.ndarray:
     first = Lines.CALIBRATION
     c, variance, windows = kept[[Lines.LOG_C - first, Lines.VARIANCE_C - first, Lines.WINDOWS - first]]
     spread = kept[Lines.SPREAD - first:Lines.SCORE - first]
-    if abs(c - math.log(MIDDLE)) > 2 * HALF * STEP or variance <= 0.0 or windows < 0.0 or (spread < 0.0).any():
+    if abs(c - math.log(MIDDLE)) > 2 * HALF * LOG_STEP or variance <= 0.0 or windows < 0.0 or (spread < 0.0).any():
         raise ValueError('no possible calibration of wheels')
     kept[Lines.VARIANCE_C - first] += PARKED_SIGMA**2
     return kept
@@ -220,7 +220,7 @@ def listen(mem, k):
     dt, time = mem[sample + Sample.INTERVAL], mem[sample + Sample.TIME]
     speed = speed_of(mem, r)
     mem[at + Lines.ELAPSED] += dt
-    mem[at + Lines.TURN] += min(dt / TURN_TIME, 1.0) * (angular_rate(mem, r, sample)[2] - mem[at + Lines.TURN])
+    mem[at + Lines.TURN] += min(dt / TURN_LOW_PASS, 1.0) * (angular_rate(mem, r, sample)[2] - mem[at + Lines.TURN])
     if speed < SLOWEST or abs(mem[at + Lines.TURN]) > FASTEST_TURN or dt > mem[Head.MAX_GAP] or (
             mem[sample + Sample.FAULT] != 0.0):
         mem[at + Lines.SINCE] = time
@@ -234,7 +234,7 @@ def listen(mem, k):
     if mem[at + Lines.TIME] < SHORTEST:
         return
     _append_row(mem, at)
-    if time - mem[at + Lines.SINCE] >= WINDOW and time - mem[at + Lines.LAST] >= HOP - 0.5 * SHORTEST:
+    if time - mem[at + Lines.SINCE] >= SPECTRUM_WINDOW and time - mem[at + Lines.LAST] >= HOP - 0.5 * SHORTEST:
         _process_window(mem, at, r, sample, speed)
 
 
@@ -276,7 +276,7 @@ def along_variance(mem, r):
 @njit(_nrt=False)
 def _process_window(mem, at, r, sample, speed):
     """Process the window that ends at the state at r."""
-    time, way, last = look(mem, at + Lines.SPECTRUM, HIGHEST)
+    time, way, last = look(mem, at + Lines.SPECTRUM, HIGHEST_FREQUENCY)
     mean, filtered, now = way / time, along_variance(mem, r), mem[sample + Sample.TIME]
     fixes_come = now - mem[r + Nav.RESIDUAL_TIME] < WITHOUT_FIX
     in_a_row, mem[at + Lines.LAST] = now - mem[at + Lines.LAST] < 1.5 * HOP, now
@@ -354,7 +354,7 @@ def _update_density(mem, at, speed, exponent):
     density, total, first, second, before = at + Lines.DENSITY, 0.0, 0.0, 0.0, 0.0
     for i in range(SPEEDS):
         error = SPEED_STEP * (i - SPEED_HALF)
-        x = HALF + math.log(max(1.0 + error / speed, 0.1)) / STEP
+        x = HALF + math.log(max(1.0 + error / speed, 0.1)) / LOG_STEP
         score, j = 0.0, int(x)
         if x >= 0.0 and j + 1 < GRID:
             here = at + Lines.DISCRIMINANT + j
@@ -381,15 +381,15 @@ def _likelihood(score):
 def _is_proven(mem, at):
     """Whether the mean score is significantly above zero."""
     n, score = min(mem[at + Lines.WINDOWS], SCORE_MEMORY), mem[at + Lines.SCORE]
-    return n >= FEWEST and score > PROVEN * math.sqrt(max(mem[at + Lines.SQUARE] - score * score, 0.0) / n)
+    return n >= FEWEST_WINDOWS and score > PROVEN * math.sqrt(max(mem[at + Lines.SQUARE] - score * score, 0.0) / n)
 
 
 @njit(_nrt=False)
 def _channel_powers(mem, at, way, last, log_c):
     """q of each channel on the grid of x, for the circumference exp(log_c)."""
-    power, ratio = at + Lines.SPECTRUM + Spectrum.POWER, math.exp(STEP)
+    power, ratio = at + Lines.SPECTRUM + Spectrum.POWER, math.exp(LOG_STEP)
     for h in range(HARMONICS):
-        line = 2.0 * (h + 1) * way * math.exp(-log_c - HALF * STEP)  # bin
+        line = 2.0 * (h + 1) * way * math.exp(-log_c - HALF * LOG_STEP)  # bin
         for i in range(GRID):
             j = int(line)
             share = line - j
@@ -425,7 +425,7 @@ def _search_circumference(mem, at, way, last):
     if mem[at + Lines.COMB_SEEN] < COMB_WINDOWS or (
             mem[at + Lines.COMB + best] <= COMB_SIGMAS * math.sqrt(mem[at + Lines.COMB_VARIANCE])):
         return
-    log_c = math.log(MIDDLE) - (best - HALF) * STEP
+    log_c = math.log(MIDDLE) - (best - HALF) * LOG_STEP
     if mem[at + Lines.VARIANCE_C] == 0.0 or abs(log_c - mem[at + Lines.LOG_C]) > NEW_WHEEL:
         for i in range(Lines.CALIBRATION, Lines.CALIBRATION_END):
             mem[at + i] = 1.0 if Lines.SPREAD <= i < Lines.SCORE else 0.0

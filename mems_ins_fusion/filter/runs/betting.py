@@ -50,9 +50,9 @@ USUAL = 30  # number of measurements over which B is averaged; nothing is staked
 #: lags). With 3, means of successive blocks have a correlation of 1/12 if errors decay exponentially, with 2 of 1/8
 APART_BY = 3.0
 #: correlation of errors below which the sum of correlations ends: in 60 errors it differs from none by 1.5 sigma
-LASTING = 0.2
-FEWEST = 8  # number of errors below which no correlation is estimated: it would be chance
-KEPT = 300  # number of measurements kept: enough for errors that are correlated over a tenth of this
+LASTING_CORRELATION = 0.2
+FEWEST_ERRORS = 8  # number of errors below which no correlation is estimated: it would be chance
+KEPT_ERRORS = 300  # number of measurements kept: enough for errors that are correlated over a tenth of this
 
 
 class Bets:
@@ -68,7 +68,7 @@ class Bets:
         self._clear, self._first = clear, first
         self.pro = self.con = 0.0
         #: components along the line from p to q of the last innovations of both filters, up to `_end`
-        self._rows, self._end = np.empty((2 * KEPT, 2)), 0
+        self._rows, self._end = np.empty((2 * KEPT_ERRORS, 2)), 0
         self._block: list[tuple[float, float]] = []  # d and y of the measurements of the present block that are bet on
         self._left, self._usual = 0, 0.0  # number of measurements still to come in the block, and B when it began
         self._near, self._count = 0.0, 0  # B, and number of measurements so far
@@ -95,7 +95,7 @@ class Bets:
     def see(self, present: tuple[float, float], other: tuple[float, float]) -> None:
         """Take one more measurement into the statistics of the errors, without a bet; arguments as for `take`."""
         if self._end == len(self._rows):
-            self._rows[:KEPT], self._end = self._rows[KEPT:].copy(), KEPT
+            self._rows[:KEPT_ERRORS], self._end = self._rows[KEPT_ERRORS:].copy(), KEPT_ERRORS
         self._rows[self._end] = _along(present, other)[1:]
         self._end += 1
         self._count += 1
@@ -108,8 +108,8 @@ class Bets:
 
     def _lasting(self) -> int:
         """Length of the next block: APART_BY times the correlation time of the errors; 1 without correlation."""
-        seen, n = self._rows[max(self._end - KEPT, 0):self._end], min(self._count, KEPT)
-        if self._first == 0 or n < FEWEST:
+        seen, n = self._rows[max(self._end - KEPT_ERRORS, 0):self._end], min(self._count, KEPT_ERRORS)
+        if self._first == 0 or n < FEWEST_ERRORS:
             return 1
         present, other = seen.T
         better = present if present @ present <= other @ other else other
@@ -118,7 +118,7 @@ class Bets:
         variance, total = float(errors @ errors), 1.0
         for lag in range(1, n // 2):
             covariance = float(errors[lag:] @ errors[:-lag])
-            if covariance <= LASTING * variance:
+            if covariance <= LASTING_CORRELATION * variance:
                 break
             total += 2.0 * covariance / variance
         return math.ceil(APART_BY * total) if total > 1.0 else 1

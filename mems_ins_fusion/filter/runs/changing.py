@@ -30,14 +30,14 @@ from .turning import warm_up as warm_up_turning
 
 SETTLING = 60.0  # s for which the new filter runs before it may take over: its sensor errors settle in that time
 #: s after which the new filter takes over unless its alignment was wrong (LOST): its parameters are proven to be better
-LONGEST = 180.0
+LONGEST_WAIT = 180.0
 #: largest ratio of the standard deviations of position and heading, new over present filter, at which the new one takes
-#: over before LONGEST. A filter that has just started is less certain for a minute or two, for longer while it
+#: over before LONGEST_WAIT. A filter that has just started is less certain for a minute or two, for longer while it
 #: estimates its mounting
 AS_SURE = 1.5
-#: ratio above which, after LONGEST, the alignment of the new filter was wrong, so that it is started again. A filter
-#: with a good alignment is within 1.5 by then; one that has taken a reversing vehicle for one that drives off forwards
-#: has a ratio of a hundred
+#: ratio above which, after LONGEST_WAIT, the alignment of the new filter was wrong, so that it is started again. A
+#: filter with a good alignment is within 1.5 by then; one that has taken a reversing vehicle for one that drives off
+#: forwards has a ratio of a hundred
 LOST = 3.0
 #: m, standard deviation of the position with which a new filter begins at the state of the present one. This and the
 #: next two cover lever arms of metres, a time offset of 0.3 s, and the errors that these cause in the present filter.
@@ -47,7 +47,7 @@ BEGIN_POSITION = 5.0
 BEGIN_SPEED = 1.0
 #: rad, the same of the heading
 BEGIN_HEADING = math.radians(10.0)
-PERIOD = 10**9  # ns from one comparison to the next
+COMPARISON_PERIOD = 10**9  # ns from one comparison to the next
 #: wealth (betting.py) of the filter without a finding at which the finding is dropped. A useful finding is dropped at
 #: most once in this many comparisons, which are a day
 DROPPED = 86_400.0
@@ -55,7 +55,7 @@ DROPPED = 86_400.0
 #: have been proven before
 SHOWN_BETTER = 20.0
 #: number of fixes whose innovations are kept: two filters process the same fix within seconds of each other
-KEPT = 100
+KEPT_FIXES = 100
 #: attributes of the filter object that stay when another filter takes over: outputs, messages and counts
 _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 'tallies', 'gaps', 'waited', '_notices',
                     '_judged', '_said', '_said_mounting', '_said_late', '_next_look', '_recent',
@@ -128,7 +128,7 @@ class WatchedFilter(FusionFilter):
         number = self._numbers.pop(int(event[Event.ID]), None)
         if number is not None and event[Event.NIS] > 0.0:  # a refusal without an innovation has none
             self.misfits[number] = float(event[Event.Z_N]), float(event[Event.Z_N + 1])
-            self.misfits.pop(number - KEPT, None)
+            self.misfits.pop(number - KEPT_FIXES, None)
 
 
 class ParallelFilter:
@@ -249,8 +249,8 @@ class ChangingFilter(WatchedFilter):
                 one.is_new = False
                 if self.aligned:
                     one.fusion.begin_at(self)
-        if self._others and stamp // PERIOD != self._slot:
-            self._slot = stamp // PERIOD
+        if self._others and stamp // COMPARISON_PERIOD != self._slot:
+            self._slot = stamp // COMPARISON_PERIOD
             for other in self._others:
                 other.notices(), other.verdicts()  # dropped: the present filter reports
             self._compare(stamp)
@@ -335,7 +335,7 @@ class ChangingFilter(WatchedFilter):
             self._take_over(other, now, 0.0, 0.0)
         elif other.aligned and waited >= SETTLING * 1e9:
             position, yaw = self._from(other)
-            late = waited >= LONGEST * 1e9
+            late = waited >= LONGEST_WAIT * 1e9
             if (_as_sure(self.odometry, other.odometry, LOST if late else AS_SURE)
                     or self._next.is_better(SHOWN_BETTER)):
                 self._take_over(other, now, position, yaw)

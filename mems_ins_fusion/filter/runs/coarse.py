@@ -1,10 +1,9 @@
-"""Let a small copy of a filter (newest.py) go on without fixes, in steps of several of the filter's samples.
+"""Continue a small copy of a filter (newest.py) without fixes, in steps of several of the filter's samples.
 
-The samples of a step become one: with the rotation that they make together, and the mean specific force in the axes of
-the middle of the step, both to second order in the rotation since then, so that turns and fast vibrations (coning,
-sculling) have the same effect as sample by sample. All that a single sample shows, as faults and standstills, is what
-the filter itself has seen. A step costs what a sample of the filter costs, and there is one for twenty samples at 100
-Hz.
+The samples of a step are merged to one: the total rotation, and the mean specific force in the axes of the middle of
+the step, both to second order in the rotation. So turns and fast vibrations (coning, sculling) have the same effect as
+with single samples. Faults and standstills are those that the filter itself has found. A step takes the time of one
+sample of the filter; at 100 Hz twenty samples are merged.
 """
 from __future__ import annotations
 
@@ -17,10 +16,10 @@ from .newest import STEP
 
 @njit(_nrt=False)
 def follow(copy, memory, after, withheld):
-    """Let `copy`, whose state 0 is that after sample `after` of `memory`, go on to the newest sample of it.
+    """Continue `copy`, whose state 0 is that after sample `after` of `memory`, to the newest sample of `memory`.
 
-    withheld: whether the measurements with this `Event.INPUT` are withheld from the copy, (k,). What arrived too late
-    for the step that it belongs to is left out. Returns False where `memory` does not have all samples any more.
+    withheld: (k,) whether measurements with this `Event.INPUT` are withheld from the copy. A measurement that arrived
+    too late for its step is left out. Returns False if `memory` no longer has all samples.
     """
     k, newest = after + 1, int(memory[Head.SAMPLES])
     if newest - after > int(memory[Head.CAPACITY]):
@@ -45,7 +44,7 @@ def _merge(copy, memory, k, newest):
     A gap (`imu.max_gap`) is a step of its own.
     """
     at, to = nonnegative(sample_at(memory, k)), nonnegative(sample_at(copy, 1))
-    # rad, from the expected middle of the step: at its begin, and so far
+    # rad, rotation from the expected middle of the step: b to its begin, a to the end of the samples merged so far
     half = -0.5 * max(STEP, memory[at + Sample.INTERVAL])
     b_x, b_y, b_z = half * memory[at + Sample.W_X], half * memory[at + Sample.W_Y], half * memory[at + Sample.W_Z]
     a_x, a_y, a_z = b_x, b_y, b_z
@@ -85,8 +84,8 @@ def _cross(a_x, a_y, a_z, b_x, b_y, b_z):
 
 @njit(_nrt=False)
 def _take_inputs(copy, memory, event, withheld):
-    """Have the measurements of `memory` from number `event` on that belong to the step, and are not withheld, in
-    `copy`; returns the number of the next one."""
+    """Copy the measurements of `memory`, from number `event` on, that belong to the step and are not withheld to
+    `copy`. Returns the number of the next one."""
     count, end = 0, copy[nonnegative(sample_at(copy, 1)) + Sample.TIME]
     while event < int(memory[Head.EVENTS]) and memory[event_at(memory, event) + Event.TIME] <= end:
         at, to = event_at(memory, event), event_at(copy, count)

@@ -46,7 +46,7 @@ from .newest import STEP, NewestState
 from .odometry import added_covariance
 
 #: s, longest horizon. A longer one would cost time, and after minutes the error depends on what the vehicle does
-LONGEST = 120.0
+LONGEST_HORIZON = 120.0
 EXCEEDED = 0.05  # probability of an error above the limit at which the horizon ends
 DRIVING_OFF = 2.0  # m/s^2, assumed acceleration of a vehicle that is slower than `horizon.speed`: a car that drives off
 #: directions over a quarter turn at which the probability is evaluated: accurate to 1e-3 for a degenerate ellipse
@@ -55,8 +55,8 @@ SPEED_PATIENCE = 1.0  # s since the last wheel speed after which none is expecte
 
 
 class Horizon(NamedTuple):
-    """seconds: time for which the horizontal error stays below the limit with a probability of 95 %, LONGEST at most.
-    metres: distance driven in that time."""
+    """seconds: time for which the horizontal error stays below the limit with a probability of 95 %, at most
+    LONGEST_HORIZON. metres: distance driven in that time."""
 
     seconds: float
     metres: float
@@ -64,7 +64,7 @@ class Horizon(NamedTuple):
     @property
     def in_words(self) -> str:
         """The horizon in words, for a message."""
-        more = 'more than ' if self.seconds >= LONGEST else ''
+        more = 'more than ' if self.seconds >= LONGEST_HORIZON else ''
         return f'{more}{self.seconds:.1f} s, {self.metres:.0f} m'
 
 
@@ -122,7 +122,7 @@ def _predict(mem, limit, wanted, interval, exceeded, north, east, left, realised
     src, dst, seen = first, nonnegative(first + width), nonnegative(first + 2 * width)
     mem[sample + Sample.INTERVAL], mem[sample + Sample.FAULT], mem[sample + Sample.STILL] = STEP, 0.0, 0.0
     metres = 0.0
-    for k in range(round(LONGEST / STEP)):
+    for k in range(round(LONGEST_HORIZON / STEP)):
         part = 1.0 - k * STEP / left if k * STEP < left else 0.0
         if exceedance_probability(mem, src, limit, part * north, part * east, realised) > exceeded:
             return k * STEP, metres
@@ -141,7 +141,7 @@ def _predict(mem, limit, wanted, interval, exceeded, north, east, left, realised
             mem[dst + i] = mem[seen + i]
         metres += 0.5 * STEP * (speed_now + math.hypot(mem[dst + Nav.V_N], mem[dst + Nav.V_E]))
         src, dst = dst, src
-    return LONGEST, metres
+    return LONGEST_HORIZON, metres
 
 
 @njit(_nrt=False)

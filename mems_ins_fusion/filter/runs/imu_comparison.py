@@ -1,8 +1,9 @@
 """Comparison of an IMU with the leading one: their difference, its limits by noise, and whether both agree in motion.
 
-In a window (WINDOW) the difference has to be small compared with the motion, and not larger than the noise of both. An
-IMU with a wrong axis, unit, scale or delay does not pass this test. After both have agreed, each further window is
-tested in the same way, and the difference low-passed with QUICK is tested at each sample against its usual scatter.
+In a window (COMPARED_WINDOW) the difference has to be small compared with the motion, and not larger than the noise of
+both. An IMU with a wrong axis, unit, scale or delay does not pass this test. After both have agreed, each further
+window is tested in the same way, and the difference low-passed with QUICK is tested at each sample against its usual
+scatter.
 """
 from __future__ import annotations
 
@@ -15,12 +16,12 @@ from mems_ins_fusion.compiled import njit
 from .imu_memory import (
     AVERAGED,
     CHANGED,
+    COMPARED_WINDOW,
     DIFFERS,
-    KEPT,
+    KEPT_SAMPLES,
     QUICK,
     SILENT,
     SLOW,
-    WINDOW,
     compare_anew,
     patience,
     say,
@@ -47,21 +48,21 @@ NOISIER = 10.0
 @njit
 def compare(book, j, leader):
     """Compare the samples of IMU j that lie between two samples of the leading IMU with these, interpolated."""
-    oldest = max(book.kept[leader] - KEPT, 0)
+    oldest = max(book.kept[leader] - KEPT_SAMPLES, 0)
     while book.compared[j] < book.kept[j] and book.kept[leader] > 0:
-        c, k = max(book.compared[j], book.kept[j] - KEPT), book.kept[leader] - 1
-        stamp = book.stamps[j, c % KEPT]
-        if stamp > book.stamps[leader, k % KEPT]:
+        c, k = max(book.compared[j], book.kept[j] - KEPT_SAMPLES), book.kept[leader] - 1
+        stamp = book.stamps[j, c % KEPT_SAMPLES]
+        if stamp > book.stamps[leader, k % KEPT_SAMPLES]:
             return
-        while k > oldest and book.stamps[leader, (k - 1) % KEPT] > stamp:
+        while k > oldest and book.stamps[leader, (k - 1) % KEPT_SAMPLES] > stamp:
             k -= 1
         book.compared[j] = c + 1
-        later, earlier = k % KEPT, (k - 1) % KEPT
+        later, earlier = k % KEPT_SAMPLES, (k - 1) % KEPT_SAMPLES
         step = book.stamps[leader, later] - book.stamps[leader, earlier]
         if k > oldest and step <= book.max_gap:
             part = (stamp - book.stamps[leader, earlier]) / step
             between = book.values[leader, earlier] + part * (book.values[leader, later] - book.values[leader, earlier])
-            _compare_one(book, j, leader, stamp, book.values[j, c % KEPT], between)
+            _compare_one(book, j, leader, stamp, book.values[j, c % KEPT_SAMPLES], between)
 
 
 @njit
@@ -85,7 +86,7 @@ def _compare_one(book, j, leader, stamp, value, between):
     if book.averaged[j]:
         book.held[j] += difference
         book.held_count[j] += 1.0
-        book.offset[j] += min(1.0, dt / WINDOW) * difference
+        book.offset[j] += min(1.0, dt / COMPARED_WINDOW) * difference
         limit, others = _limit(book, j, leader), np.maximum(book.noise[leader], book.now[j])
         k = np.argmax(np.abs(book.quick[j, :6]) / limit)
         if (book.now[leader] > NOISIER**2 * others).any():
@@ -95,7 +96,7 @@ def _compare_one(book, j, leader, stamp, value, between):
             _differs(book, j, k, book.quick[j, k], limit[k])
     if book.window[j] < 0.0:
         book.count[j] = 0.0
-    elif book.window[j] >= WINDOW:
+    elif book.window[j] >= COMPARED_WINDOW:
         _decide(book, j, leader)
 
 
@@ -123,7 +124,7 @@ def _differs(book, j, k, value, limit):
     """Do not average IMU j from now on, for twice as long each further time, with a message: component k of its
     difference is `value`, allowed is `limit`."""
     book.differs[j] += 1
-    compare_anew(book, j, WINDOW - SLOW * 2.0**(book.differs[j] - 1))
+    compare_anew(book, j, COMPARED_WINDOW - SLOW * 2.0**(book.differs[j] - 1))
     say(book, DIFFERS, j, k, value, limit)
 
 

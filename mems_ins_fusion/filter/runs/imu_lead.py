@@ -13,11 +13,11 @@ from mems_ins_fusion.compiled import njit
 
 from ..trust.imu_faults import FAULTS, Fault, check
 from .imu_comparison import certainty_of, compare
-from .imu_memory import ALONE, KEPT, LEADS, NOISY, compare_anew, keep, patience, say
+from .imu_memory import ALONE, KEPT_SAMPLES, LEADS, NOISY, compare_anew, keep, patience, say
 
 #: s without samples of the leading IMU after which an IMU that has not yet agreed with it leads. Drivers start one
 #: after the other, and bridging some seconds is better than samples of an IMU with a wrong mounting
-FIRST = 5.0
+SILENT_UNCOMPARED = 5.0
 #: code of a sample that is not finite
 NOT_FINITE = Fault.SIZE
 REASONS = (*FAULTS, 'not a number')
@@ -129,10 +129,10 @@ def _take_other(book, i, stamp, out_stamps, out):
     if book.mark[i] == -1:
         book.mark[i] = stamp
     compare(book, i, leader)
-    silent, allowed = (stamp - book.mark[i]) * 1e-9, FIRST
+    silent, allowed = (stamp - book.mark[i]) * 1e-9, SILENT_UNCOMPARED
     if book.kept[leader] > 0:  # samples that come in a burst have waited in a queue themselves
-        silent = min(silent, (stamp - book.stamps[leader, (book.kept[leader] - 1) % KEPT]) * 1e-9)
-        allowed = patience(book, leader) if _may_lead(book, i) else FIRST
+        silent = min(silent, (stamp - book.stamps[leader, (book.kept[leader] - 1) % KEPT_SAMPLES]) * 1e-9)
+        allowed = patience(book, leader) if _may_lead(book, i) else SILENT_UNCOMPARED
     if last != -1 and not 0 < stamp - last <= book.restart_gap:
         return 0
     if silent > allowed:
@@ -151,9 +151,10 @@ def _take_other(book, i, stamp, out_stamps, out):
         compare_anew(book, j, 0.0)
         book.averaged[j] = agrees
     count = 0
-    for c in range(max(book.kept[i] - KEPT, 0), book.kept[i]):
-        if book.stamps[i, c % KEPT] > last:
-            count = _hand_on(book, i, book.stamps[i, c % KEPT], book.values[i, c % KEPT], count, out_stamps, out)
+    for c in range(max(book.kept[i] - KEPT_SAMPLES, 0), book.kept[i]):
+        k = c % KEPT_SAMPLES
+        if book.stamps[i, k] > last:
+            count = _hand_on(book, i, book.stamps[i, k], book.values[i, k], count, out_stamps, out)
     book.last[0] = stamp
     return count
 

@@ -18,11 +18,11 @@ from ..trust.imu_faults import Imu
 SILENT = 0.2
 #: the same limit in sampling intervals, for a slow IMU: two samples may be lost
 SILENT_INTERVALS = 3.0
-#: number of samples kept of each IMU: those of `imu_lead.FIRST` at 200 Hz, those of SILENT at 5 kHz
-KEPT = 1024
+#: number of samples kept of each IMU: those of `imu_lead.SILENT_UNCOMPARED` at 200 Hz, those of SILENT at 5 kHz
+KEPT_SAMPLES = 1024
 #: s over which two IMUs are compared, and time constant of the mean of their difference, which is subtracted. Long
 #: enough to contain a turn or a stop, and to find the bias of consumer-grade gyroscopes to a tenth
-WINDOW = 20.0
+COMPARED_WINDOW = 20.0
 #: s, time constant of the low pass of the difference that is tested at each sample: longer than vibration, short enough
 #: that a wrong turn rate does not yet spoil the heading
 QUICK = 0.5
@@ -57,10 +57,10 @@ class Book(NamedTuple):
     compared_at: np.ndarray  # stamp of the last sample that was compared with the leading IMU
     mark: np.ndarray  # stamp of the newest sample when the last sample of the leading IMU came
     fault: np.ndarray  # `Fault` of the newest sample
-    kept: np.ndarray  # number of valid samples so far, of which the last KEPT are kept
+    kept: np.ndarray  # number of valid samples so far, of which the last KEPT_SAMPLES are kept
     compared: np.ndarray  # number of these that have been compared
-    stamps: np.ndarray  # (n, KEPT) stamps of the samples kept
-    values: np.ndarray  # (n, KEPT, 6) the samples kept
+    stamps: np.ndarray  # (n, KEPT_SAMPLES) stamps of the samples kept
+    values: np.ndarray  # (n, KEPT_SAMPLES, 6) the samples kept
     heads: np.ndarray  # (n, Head.SIZE) memory of `imu_faults` for each IMU
     sample: np.ndarray  # (1, 7) argument of `imu_faults.check`
     said: np.ndarray  # (rows, 6) messages: code, IMU, leading IMU, three numbers
@@ -76,7 +76,8 @@ def book_of(n: int, values: dict) -> Book:
     """The memory for n IMUs with the checked parameters `values`, before the first sample."""
     floats = {name: np.zeros((n, *shape)) for shape, names in (
         ((), 'window count held_count interval'), ((2,), 'now noise'), ((6,), 'offset usual held'),
-        ((12,), 'quick mean variance'), ((KEPT, 6), 'values'), ((Head.SIZE,), 'heads')) for name in names.split()}
+        ((12,), 'quick mean variance'), ((KEPT_SAMPLES, 6), 'values'),
+        ((Head.SIZE,), 'heads')) for name in names.split()}
     flags = {name: np.zeros(n, dtype=bool) for name in ('known', 'averaged', 'returns')}
     stamps = {name: np.full(n, -1, dtype=np.int64) for name in ('newest', 'compared_at', 'mark')}
     counts = {name: np.zeros(n, dtype=np.int64) for name in ('differs', 'fault', 'kept', 'compared')}
@@ -85,7 +86,7 @@ def book_of(n: int, values: dict) -> Book:
         head[Imu.MAX_FORCE], head[Imu.MAX_RATE] = values['imu.max_specific_force'], values['imu.max_angular_rate']
     flags['known'][0] = True  # offsets are relative to the first IMU
     floats['window'][:] = -4.0 * QUICK  # as in compare_anew
-    return Book(**floats, **flags, **stamps, **counts, stamps=np.zeros((n, KEPT), dtype=np.int64),
+    return Book(**floats, **flags, **stamps, **counts, stamps=np.zeros((n, KEPT_SAMPLES), dtype=np.int64),
                  sample=np.zeros((1, 7)), said=np.zeros((16, 6)), said_count=np.zeros(1, dtype=np.int64),
                  leader=np.zeros(1, dtype=np.int64), last=np.full(1, -1, dtype=np.int64),
                  epoch=np.full(1, -1, dtype=np.int64), restart_gap=round(values['imu.restart_gap'] * 1e9),
@@ -98,15 +99,15 @@ def keep(book, i, stamp, value, dt):
     """
     if book.kept[i] > 0 and 0.0 < dt * 1e9 < book.max_gap:
         book.interval[i] += (0.1 if book.interval[i] > 0.0 else 1.0) * (dt - book.interval[i])
-        step = value - book.values[i, (book.kept[i] - 1) % KEPT]
+        step = value - book.values[i, (book.kept[i] - 1) % KEPT_SAMPLES]
         for half in range(2):
             density = (step[3 * half:3 * half + 3]**2).sum() / 6.0 * dt
             book.now[i, half] += max(min(1.0, dt / QUICK), 1.0 / book.kept[i]) * (density - book.now[i, half])
-            if book.kept[i] * dt > WINDOW:  # bounded: the usual noise grows by e in SLOW at most
+            if book.kept[i] * dt > COMPARED_WINDOW:  # bounded: the usual noise grows by e in SLOW at most
                 density = min(density, 2.0 * book.noise[i, half])
             book.noise[i, half] += max(min(1.0, dt / SLOW), 1.0 / book.kept[i]) * (density - book.noise[i, half])
-    book.stamps[i, book.kept[i] % KEPT] = stamp
-    book.values[i, book.kept[i] % KEPT] = value
+    book.stamps[i, book.kept[i] % KEPT_SAMPLES] = stamp
+    book.values[i, book.kept[i] % KEPT_SAMPLES] = value
     book.kept[i] += 1
 
 

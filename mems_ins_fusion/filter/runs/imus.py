@@ -6,8 +6,8 @@ valid samples. The filter gets samples with its stamps.
 Another IMU only replaces a leading one that fails, until both have agreed while the vehicle moved (`imu_comparison`).
 From then on the difference to the leading IMU, times its weight (one half for two IMUs with the same noise), is added
 to the samples. The difference is computed at the stamp of the other IMU, with the leading one interpolated, so that the
-average is not delayed. The mean of the difference over WINDOW is subtracted: the biases in the samples are always those
-of the first IMU, and do not jump when an IMU fails or returns.
+average is not delayed. The mean of the difference over COMPARED_WINDOW is subtracted: the biases in the samples are
+always those of the first IMU, and do not jump when an IMU fails or returns.
 """
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ..measurements.inertial import InertialSettings
 from ..measurements.registry import imus
 from .imu_comparison import NOISIER
 from .imu_lead import REASONS, take_all
-from .imu_memory import ALONE, AVERAGED, CHANGED, DIFFERS, KEPT, LEADS, book_of
+from .imu_memory import ALONE, AVERAGED, CHANGED, DIFFERS, KEPT_SAMPLES, LEADS, book_of
 from .intake import Notice
 from .tally import Tally
 
@@ -48,8 +48,8 @@ class Imus:
         self._book = book_of(n, values)
         self._notices: list[Notice] = []
         self._faults = np.zeros((n, len(REASONS)), dtype=np.int64)
-        self._out_stamps, self._out = np.zeros(KEPT, dtype=np.int64), np.zeros((KEPT, 6))
-        self._origin, self._source = np.zeros(KEPT, dtype=np.int64), np.zeros(1, dtype=np.int64)
+        self._out_stamps, self._out = np.zeros(KEPT_SAMPLES, dtype=np.int64), np.zeros((KEPT_SAMPLES, 6))
+        self._origin, self._source = np.zeros(KEPT_SAMPLES, dtype=np.int64), np.zeros(1, dtype=np.int64)
 
     @property
     def leader(self) -> int:
@@ -119,14 +119,14 @@ class Imus:
         stamp, values = np.concatenate([one[0] for one in ready])[order], np.vstack([one[1] for one in ready])[order]
         within = np.concatenate([np.arange(len(one)) for one in sources])[order]
         source, received = source[order], received[order]
-        room = len(source) + KEPT
+        room = len(source) + KEPT_SAMPLES
         out_stamps, out, origin = np.zeros(room, np.int64), np.zeros((room, 6)), np.zeros(room, np.int64)
         faults, upto, done = self._faults, 0, 0
         while upto < len(source):
             upto, done = take_all(self._book, source, stamp, values, upto, out_stamps, out, origin, faults, done)
             self._tell()
         for i, reason in np.argwhere(faults[:, 1:]):
-            self._notices.append(Notice('warning', f'{self.topics[i]}: {faults[i, reason + 1]} samples not believed: '
+            self._notices.append(Notice('warning', f'{self.topics[i]}: {faults[i, reason + 1]} samples rejected: '
                                                    f'{REASONS[reason + 1]}'))
         origin = origin[:done]
         orientation = None
@@ -145,7 +145,7 @@ class Imus:
         topic, other = self.topics[i], self.topics[leader]
         if code == ALONE:
             reason = REASONS[int(numbers[1])]
-            why = f'samples not believed: {reason}' if reason else f'no sample for {numbers[0]:.2f} s'
+            why = f'samples rejected: {reason}' if reason else f'no sample for {numbers[0]:.2f} s'
             self.found[self.names[leader]] = 'warning', f'{why}; the samples are those of {topic}'
             return Notice('warning', f'{other}: {why}: the samples of {topic} are used from now on')
         if code == LEADS:

@@ -1,7 +1,7 @@
-"""A small memory for the newest state of a filter, which goes on from there on its own, in steps of several samples.
+"""A small memory for a copy of a filter that begins with its newest state and cannot return to an earlier one.
 
-It has the head of the filter's memory (memory.py), a few rows for states, as many IMU samples, measurements, and the
-scratch: some kilobytes, where a copy of the whole memory has megabytes. There is no way back to an earlier state.
+It has the head of the filter's memory (memory.py), a few rows for states, some IMU samples, measurements, and the
+scratch: some kilobytes instead of megabytes.
 """
 from __future__ import annotations
 

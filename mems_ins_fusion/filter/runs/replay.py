@@ -453,8 +453,8 @@ def _announced(horizon: HorizonPredictor, memory: np.ndarray, begin: float, real
 
 
 def imu_warnings(memory: np.ndarray, topic: str) -> list[str]:
-    """Messages on IMU samples that were not believed, and on states that were not finite."""
-    texts = [f'{topic}: {memory[Imu.FAULTS + i]:.0f} samples not believed: {name}'
+    """Messages on rejected IMU samples, and on states that were not finite."""
+    texts = [f'{topic}: {memory[Imu.FAULTS + i]:.0f} samples rejected: {name}'
              for i, name in enumerate(FAULTS) if i and memory[Imu.FAULTS + i]]
     restarts = newest_row(memory)[Nav.RESTARTS]
     if restarts:

@@ -81,7 +81,7 @@ class FilterStatus(Intake):
             return []
         now, found = self._now, []
         if now * 1e-9 - self._last_fault < REPORTED:
-            found.append(f'samples on {self.config.imu.topic} not believed: {self._fault}')
+            found.append(f'samples on {self.config.imu.topic} rejected: {self._fault}')
         for kind, measurement in self.config.inputs.items():
             tally = self.tallies[measurement.name]
             if tally.steadily(now, patient=kind != Kind.POSITION):
@@ -156,7 +156,7 @@ class FilterStatus(Intake):
                 self._fault = FAULTS[fault]
                 self.tallies['imu'].refuse(stamp, self._fault)
                 self.say('warning', f'{self.config.imu.topic}: linear_acceleration ({f}), angular_velocity ({w}): '
-                                    f'{FAULTS[fault]}: sample not believed, bridged')
+                                    f'{FAULTS[fault]}: sample rejected, bridged')
 
     def _say_new_starts(self) -> None:
         """Report a new start of the published state since the last call, with its reason."""

@@ -7,7 +7,7 @@ from collections import deque
 
 #: numbers in a reason, which are left out where equal reasons are counted together
 _NUMBER = re.compile(r'[-+]?\b(?:nan|inf|\d[\d.]*(?:e[-+]?\d+)?)\b')
-RECENT = 100  # number of measurements over which the NIS is averaged
+NIS_MEMORY = 100  # number of measurements over which the NIS is averaged
 STEADY = 3  # number of measurements refused in a row from which on this is reported
 STEADY_TIME = 1.0  # s: and of a fast sensor these must have come for this long
 REPORTED = 5.0  # s for which a refusal, or a faulty IMU sample, is reported. Chosen, not measured
@@ -23,7 +23,7 @@ class Tally:
     def __init__(self):
         self.used, self.refused = 0, {}
         self.row, self.since, self.last, self.reason = 0, 0, 0, ''
-        self._misfit: deque[float] = deque(maxlen=RECENT)
+        self._misfit: deque[float] = deque(maxlen=NIS_MEMORY)
 
     def use(self, misfit: float) -> None:
         """Count a measurement that was used. misfit: its NIS over the number of components."""

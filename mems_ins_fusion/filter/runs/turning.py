@@ -1,11 +1,10 @@
-"""The state of a running filter in the axes of another mounting of the IMU.
+"""Conversion of a running filter to another mounting of the IMU (`imu.mounting_rpy`).
 
-Where the filter estimates the mounting, another `imu.mounting_rpy` is no other model of the drive: position, velocity
-and attitude of the IMU and its errors stay as they are estimated, only the axes b in which they are written are others.
-With D the rotation from the old axes to the new ones, vectors in b become D v, the attitude C_bn becomes C_bn D^T, and
-the estimated mounting is that of the same forward axis of the vehicle. Errors of position, velocity and attitude are in
-n and stay. Lever arms are given in the vehicle's axes and stay, too; so the position moves by what keeps the antenna,
-which the fixes have measured, where it is.
+If the filter estimates the mounting, another value of the parameter only changes the axes b in which the state is
+written. With D the rotation from the old axes to the new ones, a vector v in b becomes D v, the attitude C_bn becomes
+C_bn D^T, and the estimated mounting is computed such that the vehicle's forward axis stays the same. Errors of
+position, velocity and attitude are in n and do not change. Lever arms are given in the axes of the parameter and keep
+their numbers, so the position of the IMU is moved such that the antenna, which the fixes measure, stays in place.
 """
 from __future__ import annotations
 
@@ -16,31 +15,28 @@ import numpy as np
 
 from ...navigation.strapdown import from_euler, matrix, multiply
 from ..bank import Bank
-from ..config import FilterConfig
+from ..config import MOUNTING_STATES, FilterConfig
 from ..measurements.magnetometer import Magnetometer
 from ..memory import NAV, Head, Nav, Sample, StateLayout, covariance, set_covariance, views
 from ..trust.drift import Drift
 from ..trust.gyroscopes import Gyroscopes
 from ..trust.standstill import Still
 
-#: the parameter whose value is another one,
-PARAMETER = 'imu.mounting_rpy'
-#: and the states of what the filter estimates of it
-STATES = 'mounting_yaw', 'mounting_pitch'
+MOUNTING = 'imu.mounting_rpy'  # the parameter that changes
 
 
 def turns_into(config: FilterConfig, values: Mapping) -> bool:
     """Whether a running filter with `config` can be turned into one with the checked parameters `values`: only the
     mounting differs, and the filter estimates it. A magnetometer's axes and its iron would have to be turned as well.
     """
-    return (values != config.parameters and {**config.parameters, PARAMETER: values[PARAMETER]} == values
+    return (values != config.parameters and {**config.parameters, MOUNTING: values[MOUNTING]} == values
             and _can_be_turned(config))
 
 
 def _can_be_turned(config: FilterConfig) -> bool:
     magnetic = any(isinstance(one, Magnetometer) and config.settings_of(number).topic
                    for number, one in config.inputs.items())
-    return not magnetic and all(config.layout.index(name) >= 0 for name in STATES)
+    return not magnetic and all(config.layout.index(name) >= 0 for name in MOUNTING_STATES)
 
 
 def warm_up(config: FilterConfig) -> None:
@@ -72,7 +68,7 @@ def turn(memory: np.ndarray, before: FilterConfig, after: FilterConfig) -> None:
 
 
 def _turn_state(row: np.ndarray, layout: StateLayout, rotation: np.ndarray, lever: np.ndarray) -> None:
-    """One state. rotation (3, 3): from the old axes to the new ones. lever: (3,) m, of the antenna."""
+    """Convert one state. rotation (3, 3): from the old axes to the new ones. lever: (3,) m, of the antenna."""
     attitude = row[Nav.Q_W:Nav.Q_Z + 1]
     if not attitude.any():  # no state yet
         return
@@ -86,7 +82,7 @@ def _turn_state(row: np.ndarray, layout: StateLayout, rotation: np.ndarray, leve
     x = row[NAV + n:NAV + n + m]
     sensors = np.kron(np.kron(np.eye(2), rotation), np.eye(layout.order))
     x[:] = sensors @ x
-    states = [layout.index(name) for name in STATES]
+    states = [layout.index(name) for name in MOUNTING_STATES]
     angles = row[[NAV + state for state in states]]
     change = np.eye(layout.n)
     change[n:n + m, n:n + m] = sensors

@@ -18,7 +18,7 @@ from .intake import GOOD, JUMPED, LATEST, follow
 #: largest value of an IMU in any unit (mg, deg/s): 16 g are 16 000 mg, and the range of MEMS gyroscopes is at most
 #: 4000 deg/s
 LARGEST_IN_ANY_UNIT = 1e5
-LONGEST_PAUSE = 3600.0  # s, longest gap between samples of one recording
+LONGEST_BREAK = 3600.0  # s, longest gap between samples of one recording
 
 
 def usable(recording: Recording, largest_force: float = LARGEST_IN_ANY_UNIT,
@@ -58,7 +58,7 @@ def _of_one_clock(stamp: np.ndarray, values: np.ndarray) -> np.ndarray:
     clocks: list[list[np.ndarray]] = []
     for piece in (piece for piece in pieces if len(piece)):
         for clock in clocks:
-            if 0 < (stamp[piece[0]] - stamp[clock[-1][-1]]) * 1e-9 <= LONGEST_PAUSE:
+            if 0 < (stamp[piece[0]] - stamp[clock[-1][-1]]) * 1e-9 <= LONGEST_BREAK:
                 clock.append(piece)
                 break
         else:

@@ -7,12 +7,11 @@ import math
 import numpy as np
 
 from ...navigation.frames import ANGLE_DIGITS, FLU_TO_FRD, rotation_from_rpy
-from ..config import FilterConfig
+from ..config import MOUNTING_STATES, FilterConfig
 from ..constraints import STILL_SPEED
 from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index, newest_row, variance_factor
 from ..trust.white_noise import NOTEWORTHY, White
 
-MOUNTING_STATES = 'mounting_yaw', 'mounting_pitch'
 FASTEST_BACKWARDS = 8.0  # m/s, largest speed of a car in reverse
 #: standard deviations by which an estimated mounting has to differ from the parameters to be reported: of the estimate
 #: for the advice of `found_mounting`, of imu.mounting_sigma for a warning

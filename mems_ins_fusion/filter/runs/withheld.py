@@ -1,12 +1,11 @@
-"""How far positions without fixes really are off, over what the filter expects: a factor for the trust horizon.
+"""Ratio of the realised to the expected variance of position errors without fixes: a factor for the trust horizon.
 
-At the begin of a PERIOD the newest state of the filter is copied, and the copy goes on without fixes, in steps of
-several samples (coarse.py). After each of AGES its position is compared with that of the filter. Both have the past in
-common, so that the difference d has the covariance P_copy - P_filter, and what is wrong with both, as slow errors of a
-receiver, is not in it. Its normalized square is one deviation for the scale (trust/scale.py) of realised over expected
-variance. A scale above 1 is used as it is, below 1 with an allowance for what is not known of it. The filter itself
-does not use it:
-its gains depend on ratios of variances, and which part of P a difference comes from does not show.
+At the begin of a PERIOD the newest state of the filter is copied, and the copy is continued without fixes, in steps of
+several samples (coarse.py). After each of AGES its position is compared with that of the filter. Both have the same
+past, so their difference has the covariance P_copy - P_filter, and errors that both have, such as slow errors of the
+receiver, are not part of it. The normalized square of the difference is one deviation for a scale (trust/scale.py). A
+scale above 1 is used as it is, one below 1 with an allowance for its uncertainty. The filter itself does not use the
+ratio: its gains depend on ratios of variances, and the difference does not show which part of P is wrong.
 """
 from __future__ import annotations
 
@@ -32,22 +31,23 @@ from .coarse import follow
 from .newest import NewestState
 from .odometry import navigation_solution
 
-PERIOD = 30.0  # s, of a copy: as long as most outages in a town
-FIRST = 6  # copies that follow each other at once: three minutes show most of what is usual for a vehicle
-#: number of periods from the begin of a copy to that of the next one after those: a copy costs 0.18 of the filter's
-#: work, of which 0.05 may be left, and a change of the road or the sensors shows after two minutes
-APART = 4
-#: s without fixes after which a copy is compared: errors of the velocity decide after the first, of heading, tilt and
-#: gyroscopes after the second
+PERIOD = 30.0  # s, duration of a copy: that of most outages in a town
+COPIES_AT_ONCE = 6  # number of copies at the begin without a pause: three minutes show the errors of most drives
+#: number of periods from the begin of one copy to that of the next after that. A copy takes 18 % of the filter's time;
+#: so all copies take 5 %, and a change of the road or the sensors is noticed within two minutes
+PERIODS_APART = 4
+#: s without fixes after which a copy is compared. The first difference is mostly that of velocity errors, the second
+#: that of errors of heading, tilt and gyroscopes
 AGES = (10.0, PERIOD)
-#: exponent of the likelihood of one deviation: those of one copy have much in common, and together count as one
+#: exponent of the likelihood of one deviation: those of one copy are correlated and together count as one
 WEIGHT = 1.0 / len(AGES)
-#: largest variance of the filter over that of the copy, along an axis, with which a difference says something: beyond,
-#: as where the filter has no fixes either, both are off in the same way
+#: largest variance of the filter over that of the copy, along an axis, at which they are compared: with a larger one,
+#: for example in an outage, both have nearly the same error
 LARGEST_SHARE = 0.5
-#: m, least displacement in that time: the errors of a vehicle that stands are none of one that drives
+#: m, smallest displacement during the copy: errors at a standstill are smaller than those of a drive
 DRIVEN = 20.0
-LATEST = 1.0  # s: where no samples came for longer, nothing is compared
+#: s, longest time without samples before a comparison. Chosen, not measured
+LONGEST_UNSAMPLED = 1.0
 
 
 class Withheld:
@@ -71,22 +71,22 @@ class Withheld:
 
     @property
     def realised(self) -> float:
-        """Realised over expected variance of the errors without fixes, as it is to be used: above 1 the estimate, below
-        1 with what is not known of it.
+        """Realised over expected variance of the errors without fixes: the estimate, and below 1 with an allowance for
+        its uncertainty.
 
-        A normal error in a plane, of a variance whose logarithm is normal with the variance v, exceeds what it exceeds
-        with 5 % as often as if the logarithm were larger by v (to second order in the logarithm; along a line 0.7 v).
+        If the logarithm of the variance of a normal error in a plane is itself normal with the variance v, the error
+        exceeds its 95 % limit as often as with a logarithm that is larger by v (to second order; along a line 0.7 v).
         """
         level, unknown = self._scale[Scale.LOG], max(PRIOR - self._scale[Scale.REDUCED], 0.0)
         return math.exp(max(level, min(level + unknown, 0.0)))
 
     def begin(self, time: float) -> None:
-        """A filter has begun, whose newest sample is at `time`, s; what is known stays."""
+        """Begin with a new filter whose newest sample is at `time`, s. The estimate is kept."""
         self._followed = -1
         self._slot = self.due = (math.floor(time / PERIOD) + 1.0) * PERIOD
 
     def stop(self) -> None:
-        """Have no more copies."""
+        """Make no more copies."""
         self._followed = -1
         self._slot = self.due = math.inf
 
@@ -117,14 +117,14 @@ class Withheld:
             self._followed = int(memory[Head.SAMPLES])
         else:
             self._followed = -1
-            self._slot += PERIOD * (1 if self._count < FIRST else APART)
+            self._slot += PERIOD * (1 if self._count < COPIES_AT_ONCE else PERIODS_APART)
 
     def _compare(self, memory: np.ndarray) -> None:
         """Learn from the difference between the copy and the filter with `memory`, at the time that is due."""
         row, copy = newest_row(memory), newest_row(self._small.memory)
         place, metre = self._latitude_longitude(row), row[[Nav.NORTH_SCALE, Nav.EAST_SCALE]]
         driven = np.subtract(place, self._place) / metre
-        if row[Nav.TIME] < self._age - LATEST or math.hypot(*driven) < DRIVEN:
+        if row[Nav.TIME] < self._age - LONGEST_UNSAMPLED or math.hypot(*driven) < DRIVEN:
             return
         without, with_fixes = (variance_factor(one, 0) * covariance(one, self._layout)[:2, :2] for one in (copy, row))
         variance, axes = np.linalg.eigh(without)

@@ -40,23 +40,23 @@ from .course import (
 from .magnetic import find_magnetic_heading
 from .plausibility import direction_in_motion, is_backwards, problem_of_direction, problem_of_samples
 from .start import DATUM_FIXES, SavedState, Standstill, Start
-from .two_receivers import SLOW_SPEED, find_heading
+from .two_receivers import SLOW_SPEED, SPEED_CHANGE_SIGMA, find_heading
 
 LONGEST_KEPT = 300.0  # s of samples and fixes kept while waiting
-#: s after a start for which the motion may take it back. Vehicles have turned and braked by then
+#: s after a start during which it is discarded if the motion shows that the mounting is wrong. Vehicles have turned and
+#: braked by then
 LONGEST_WATCHED = 300.0
 RECENT = 10.0  # s of samples and fixes from which a present standstill, or the speed of a slow vehicle, is determined
-SIGNIFICANT = 3.0  # standard deviations of two fixes by which their displacement has to contradict a heading
-SPEED_CHANGE_SIGMA = 0.3  # m/s, standard deviation of a slow vehicle's present speed about its mean over RECENT. Chosen
+DISPLACEMENT_SIGMAS = 3.0  # standard deviations of two fixes by which their displacement has to contradict a heading
 STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity at rest
-#: number of fixes that have to be as near to the line through earlier ones as the noise known so far allows, before a
-#: course is looked for: noise above the claim looks like motion
+#: number of deviations as small as the noise learned so far allows before a course is looked for: noise that is larger
+#: than claimed looks like motion
 FEWEST_CONSISTENT = 3
-#: weight of such a deviation in motion, a second difference: each fix is in three of them
+#: weight of one deviation in motion (`_learn_noise`), where each fix is part of three deviations
 OVERLAP = 0.5
-#: fixes with a line through them that predicts the next one at rest. What is off the line through all earlier ones has
-#: nothing in common with what was off before. Its variance is 1.9 times that of a fix with six of them, 6 times with
-#: two; more would tell little, and show errors of the receiver that last
+#: largest number of fixes at rest in the line that predicts the next fix (`_learn_noise`). The variance of the
+#: deviation is 1.9 times that of a fix with six of them, and 6 times with two. With more it is hardly smaller, and slow
+#: errors of the receiver become part of it
 LINE_FIXES = 6
 #: s: a standstill that begins later than this after the first sample may follow a drive of which there are no samples
 SEEN_FROM_BEGIN = 2.0
@@ -279,13 +279,14 @@ class Alignment:
         return max(scale(self._scale, 0), 1.0)
 
     def _learn_noise(self, *fix) -> None:
-        """Learn the noise of the fixes from how far a new one (time, latitude, longitude, height, variance) is off the
-        line through those before it.
+        """Learn the noise of the fixes from the deviation of a new one (time, latitude, longitude, height, variance)
+        from the straight line through the fixes before it.
 
-        At rest these are LINE_FIXES, and such deviations are the recursive residuals of a regression (R. L. Brown,
-        J. Durbin, J. M. Evans, "Techniques for testing the constancy of regression relationships over time", J. Royal
-        Statistical Society B 37, 1975). In motion these are two: such a second difference contains the errors of the
-        three fixes and the acceleration of the vehicle, for which the inertial sensors give a bound without a heading.
+        At rest the line has up to LINE_FIXES fixes. The deviations are then the recursive residuals of a regression,
+        which are independent of each other (R. L. Brown, J. Durbin, J. M. Evans, "Techniques for testing the constancy
+        of regression relationships over time", J. Royal Statistical Society B 37, 1975). In motion it has two. The
+        deviation then contains the errors of three fixes and the acceleration of the vehicle, for which the inertial
+        sensors give a bound although the heading is unknown.
         """
         if self._track and fix[0] - self._track[-1][0] < SHORTEST_PAIR:
             return
@@ -483,9 +484,9 @@ class Alignment:
         noise = math.hypot(recent[0, 3], recent[-1, 3])
         along = math.cos(yaw) * moved[0] + math.sin(yaw) * moved[1]
         across = math.cos(yaw) * moved[1] - math.sin(yaw) * moved[0]
-        if abs(across) > max(SIGNIFICANT * noise, abs(along)):
+        if abs(across) > max(DISPLACEMENT_SIGMAS * noise, abs(along)):
             raise Refused('a magnetic heading that agrees with the fixes, which move sideways to it')
-        if math.hypot(*moved) > SLOW_SPEED * interval + SIGNIFICANT * noise:
+        if math.hypot(*moved) > SLOW_SPEED * interval + DISPLACEMENT_SIGMAS * noise:
             raise Refused('the vehicle to move straight on: it is fast enough for its course to show the heading')
         return float(along / interval), math.hypot(noise / interval, SPEED_CHANGE_SIGMA)
 
@@ -511,8 +512,8 @@ class Alignment:
 
 
 def _off_line(track: list[tuple], fix: tuple) -> tuple[np.ndarray, float]:
-    """How far a fix is off the line through two or more earlier ones at its time, (2,) north and east, m, and the
-    variance of a component of that by the variances of all of them, m^2. A fix: as for `Alignment._learn_noise`."""
+    """Deviation of a fix from the regression line through two or more earlier ones, (2,) north and east, m, and the
+    variance of a component, m^2, computed from the variances of all these fixes. A fix: as for `_learn_noise`."""
     time = np.array([earlier[0] for earlier in track])
     variance = np.array([earlier[4] for earlier in track])
     position = np.array([to_local(*earlier[1:4], fix[1:4])[:2] for earlier in track])

@@ -14,13 +14,14 @@ from ..trust.new_start import LARGEST_YAW_SIGMA
 from ..trust.receiver import LASTING_TIME
 from .start import KNOWN_FORCE_SIGMA, KNOWN_RATE_SIGMA, UNKNOWN_TILT_FORCE, Standstill
 
-COURSE_SIGMA = 0.1  # rad, largest noise over length of a chord from which a course is computed. Chosen, not measured
+CHORD_SIGMA = 0.1  # rad, largest noise over length of a chord from which a course is computed. Chosen, not measured
 FASTEST = 70.0  # m/s, largest speed of a land vehicle
 FASTEST_REVERSE = 3.0  # m/s: no vehicle starts faster in reverse
 SHORTEST_COURSE = 1.0  # m, shortest chord
 LONGEST_COURSE_TIME = 60.0  # s, longest chord in time: over longer times the biases of the inertial sensors are large
 SLOWEST_START = 0.2  # m/s: at a lower speed a chord of a minute is no longer than body and antenna sway
-SPEED_SIGMA = 0.05  # m/s, standard deviation of velocity components at the start, besides that of speed and heading
+#: m/s, standard deviation of velocity components at the start, besides that of speed and heading
+START_VELOCITY_SIGMA = 0.05
 SIDESLIP_SIGMA = 0.02  # rad, standard deviation of the angle between the heading of a car and its course
 CHORD_STEP = 1.1  # factor between the times of chords that are tried: closer ones have nearly the same information
 #: number of fixes, evenly spaced, that are tested between the ends of a chord: more take time without a better decision
@@ -41,7 +42,7 @@ BENT = 0.6  # smallest chord over path length of a curved path that is tried. Ch
 KNOT = 4.0  # s between the knots of the piecewise linear speed that is fitted to a curved path
 PICKED_UP = 8.0  # m/s, standard deviation of the change of this speed from one knot to the next: 2 m/s^2
 FEWEST_ON_PATH = 10  # number of fixes needed for a curved path
-MISFIT = 3.0  # largest sum of squared residuals over its expectation for a curved path. Chosen, not measured
+PATH_MISFIT = 3.0  # largest sum of squared residuals over its expectation for a curved path. Chosen, not measured
 
 
 class Course(NamedTuple):
@@ -86,7 +87,7 @@ def has_moved(positions: np.ndarray, white: float = 1.0) -> bool:
     `find_course`. white: as for `find_course`."""
     recent = positions[positions[:, 0] > positions[-1, 0] - LONGEST_COURSE_TIME]
     moved = np.hypot(*(recent[:, 1:3] - recent[-1, 1:3]).T).max()
-    return moved > max(SHORTEST_COURSE, BENT * math.sqrt(white) * recent[-1, 3] / COURSE_SIGMA)
+    return moved > max(SHORTEST_COURSE, BENT * math.sqrt(white) * recent[-1, 3] / CHORD_SIGMA)
 
 
 def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill | None,
@@ -116,7 +117,7 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
             continue
         variance = white * (sigma**2 + s**2) + _wandered(config, interval)
         noise = math.sqrt(variance - (1.0 - white) * (sigma**2 + s**2) * math.expm1(-interval / LASTING_TIME))
-        if distance >= max(SHORTEST_COURSE, noise / COURSE_SIGMA):
+        if distance >= max(SHORTEST_COURSE, noise / CHORD_SIGMA):
             # an outlier must not count as motion: the fixes in between have to lie on the path
             between = positions[i + 1:-1] - [0.0, n, e, 0.0]
             if standstill is not None:
@@ -169,7 +170,7 @@ def _of_curved_path(imu, positions, standstill, config, is_forwards) -> Course |
     left = back - back @ q @ q.T
     (a, b), (_, c) = left @ left.T
     r = math.hypot(0.5 * (a - c), b)
-    if 0.5 * (a + c) - r > MISFIT * 2.0 * len(fixes) or r < 0.5 / COURSE_SIGMA**2:
+    if 0.5 * (a + c) - r > PATH_MISFIT * 2.0 * len(fixes) or r < 0.5 / CHORD_SIGMA**2:
         return None
     yaw = 0.5 * math.atan2(-b, -0.5 * (a - c))
     inverse = np.linalg.inv(triangle)
@@ -185,7 +186,7 @@ def _of_curved_path(imu, positions, standstill, config, is_forwards) -> Course |
                      math.sqrt(2.0) * float(fixes[:, 3].max()))
     yaw_sigma = math.sqrt(max(0.5 / r, (noise / max(length, 1e-3)) ** 2) + (0.5 * bias * duration) ** 2
                           + SIDESLIP_SIGMA**2)
-    if (sign == 0 or length < max(SHORTEST_COURSE, noise / COURSE_SIGMA) or not SLOWEST_START < abs(speeds[-1])
+    if (sign == 0 or length < max(SHORTEST_COURSE, noise / CHORD_SIGMA) or not SLOWEST_START < abs(speeds[-1])
             or abs(speeds).max() > FASTEST or sign * speeds[-1] < -FASTEST_REVERSE or yaw_sigma > LARGEST_YAW_SIGMA):
         return None
     return Course(yaw if sign > 0 else yaw + math.pi, sign * speeds[-1], yaw_sigma, speed_sigma)
@@ -368,4 +369,4 @@ def start_covariance(r: np.ndarray, yaw: float, yaw_sigma: float, speed: float, 
     jacobian[2:4, 2] = course * speed_sigma
     jacobian[2:4, 3] = across * speed * yaw_sigma
     jacobian[4, 3] = yaw_sigma
-    return jacobian @ jacobian.T + np.diag([0, 0, *[(SPEED_SIGMA + SIDESLIP_SIGMA * speed) ** 2] * 2, 0])
+    return jacobian @ jacobian.T + np.diag([0, 0, *[(START_VELOCITY_SIGMA + SIDESLIP_SIGMA * speed) ** 2] * 2, 0])

@@ -21,7 +21,7 @@ from .start import Iron, SensorErrors, Standstill, Start
 
 #: m/s^2, gravity on the slope of a parking place (2 deg), which the planar filter removes with the tilt of the IMU
 TILT_SIGMA = 0.3
-LEVEL_SIGMA = 0.002  # rad, standard deviation of roll and pitch from a standstill, besides accelerometer errors
+STILL_LEVEL_SIGMA = 0.002  # rad, standard deviation of roll and pitch from a standstill, besides accelerometer errors
 VERTICAL_SPEED_SIGMA = 0.2  # m/s, standard deviation of the vertical velocity at the start
 STILL_STEPS = 1024  # steps in which a continuous-time process is followed through a standstill
 
@@ -192,7 +192,7 @@ def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray,
         coupling[0, state], coupling[1, state] = -c[1, axis] / g, c[0, axis] / g
     phi, sensors = slice(Error.PHI_N, Error.PHI_D + 1), slice(config.layout.n_navigation, None)
     sensor = full[sensors, sensors]
-    full[phi, phi] += coupling @ sensor @ coupling.T + np.diag([LEVEL_SIGMA**2, LEVEL_SIGMA**2, 0])
+    full[phi, phi] += coupling @ sensor @ coupling.T + np.diag([STILL_LEVEL_SIGMA**2, STILL_LEVEL_SIGMA**2, 0])
     full[phi, sensors] = coupling @ sensor
     full[sensors, phi] = full[phi, sensors].T
 

@@ -12,19 +12,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ..config import FilterConfig
-from ..measurements.magnetometer import STATES
+from ..measurements.magnetometer import FIELD_STATES
 from .course import LONGEST_COURSE_TIME
 from .start import KNOWN_RATE_SIGMA, Iron, SensorErrors, Standstill
 
-SHORTEST = 3.0  # s of fields needed
+SHORTEST_FIELDS = 3.0  # s of fields needed
 AROUND = 0.5  # s to each side over which the accelerometers are averaged for roll and pitch
 LEVEL_SIGMA = 0.02  # rad, standard deviation of roll and pitch by the accelerometers while a vehicle drives slowly
 INITIAL_HEADINGS = 8  # number of starts of Gauss-Newton: hard iron stronger than the field causes local minima
 ITERATIONS = 8  # number of iterations from each of them
-SIGNIFICANT = 4.0  # standard deviations by which every other heading has to fit worse
+OTHERS_SIGMAS = 4.0  # standard deviations by which every other heading has to fit worse
 #: largest sum of squares over its expectation, of means over a second: above this the field is not the earth's alone
 #: Chosen, not measured
-MISFIT = 0.3
+FIELD_MISFIT = 0.3
 #: rad by which the vehicle has to turn: without a turn, a field that changes by itself would be estimated as iron
 LEAST_TURN = 0.4
 IRON_KNOWN = 0.2  # standard deviation of the hard iron, as a share of the field, below which no turn is needed
@@ -49,7 +49,7 @@ def find_magnetic_heading(imu: np.ndarray, fields: np.ndarray, standstill: Stand
     now = imu[-1, 0]
     part = imu[imu[:, 0] > now - LONGEST_COURSE_TIME]
     fields = fields[(fields[:, 0] > part[0, 0]) & (fields[:, 0] <= now)]
-    if len(fields) < 2 or fields[-1, 0] - fields[0, 0] < SHORTEST:
+    if len(fields) < 2 or fields[-1, 0] - fields[0, 0] < SHORTEST_FIELDS:
         return None
     time = fields[:, 0]
     bias_sigma = config.alignment.gyroscope_turn_on if standstill is None else KNOWN_RATE_SIGMA
@@ -61,7 +61,7 @@ def find_magnetic_heading(imu: np.ndarray, fields: np.ndarray, standstill: Stand
     first = np.flatnonzero(np.diff(np.floor(time), prepend=-1.0))
     level, turn, since, sigma = (np.add.reduceat(of, first) / np.diff(np.append(first, len(time))).reshape(
         -1, *[1] * (of.ndim - 1)) for of in (_levelled(part, fields), turn, time - now, sigma))
-    names = tuple(f'{name}_{state}' for state in STATES)
+    names = tuple(f'{name}_{state}' for state in FIELD_STATES)
     prior, spread = _prior(config, names, known)
     mean, sigmas = np.concatenate([prior, [0.0, 0.0]]), np.concatenate([spread, [math.inf, bias_sigma]])
     if np.ptp(turn) < LEAST_TURN and spread[:2].max() > IRON_KNOWN:
@@ -70,7 +70,7 @@ def find_magnetic_heading(imu: np.ndarray, fields: np.ndarray, standstill: Stand
              for yaw in np.arange(INITIAL_HEADINGS) * 2.0 * math.pi / INITIAL_HEADINGS]
     cost, x, normal, excess = min(found, key=lambda one: one[0])
     others = [one[0] for one in found if math.cos(one[1][6] - x[6]) < math.cos(3.0 * HEADING_SIGMA)]
-    if min(others, default=math.inf) < cost + SIGNIFICANT**2 or not excess < MISFIT:
+    if min(others, default=math.inf) < cost + OTHERS_SIGMAS**2 or not excess < FIELD_MISFIT:
         return None
     covariance = np.linalg.inv(normal)
     yaw_variance = covariance[6, 6]

@@ -12,8 +12,8 @@ from ..config import FilterConfig
 from .at_rest import STILL_BLOCK, Blocks
 from .course import BACKWARDS, DIRECTION_CERTAIN, FASTEST, FASTEST_REVERSE
 
-LARGEST_TILT = math.radians(40.0)  # rad, largest tilt of an IMU whose mounting is as configured, on any road
-FASTEST_TURN = 3.0  # rad/s, largest mean turn rate of a vehicle over a second
+LARGEST_MOUNTING_TILT = math.radians(40.0)  # rad, largest tilt of an IMU whose mounting is as configured, on any road
+LARGEST_TURN_RATE = 3.0  # rad/s, largest mean turn rate of a vehicle over a second
 #: m/s^2, smallest mean specific force over a second: gravity with biases
 LEAST_GRAVITY = 6.0
 #: m/s^2, the largest: the same, and braking
@@ -38,7 +38,7 @@ def problem_of_samples(imu: np.ndarray, config: FilterConfig) -> str:
     topic = config.imu.topic
     recent = imu[np.searchsorted(imu[:, 0], imu[-1, 0] - 1.0, side='right'):]
     turn = float(np.abs(recent[:, 4:7].mean(axis=0)).max())
-    if turn > FASTEST_TURN:
+    if turn > LARGEST_TURN_RATE:
         return (f'a possible turn rate on {topic}: angular_velocity is {turn:.1f} rad/s over a second; if the '
                 "driver delivers deg/s, set imu.rate_unit to 'deg/s'")
     mean = recent[:, 1:4].mean(axis=0)
@@ -49,7 +49,7 @@ def problem_of_samples(imu: np.ndarray, config: FilterConfig) -> str:
         unit = "in g; set imu.acceleration_unit to 'g'" if 1.0 / MOST_G < size < MOST_G else 'a wrong unit or scale'
         return (f'a possible specific force on {topic}: linear_acceleration is {size:.3f} m/s^2 over a second, '
                 f'gravity included: {unit}')
-    if not level and size > 5.0 and -mean[2] < math.cos(LARGEST_TILT) * size:
+    if not level and size > 5.0 and -mean[2] < math.cos(LARGEST_MOUNTING_TILT) * size:
         tilt = math.degrees(math.acos(max(-1.0, min(1.0, -mean[2] / size))))
         return (f'an IMU that is mounted as imu.mounting_rpy says: gravity on {topic} is {tilt:.0f} deg off the '
                 'vertical of the vehicle (`configure` finds the mounting from a recording)')

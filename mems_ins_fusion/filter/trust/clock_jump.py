@@ -1,12 +1,14 @@
-"""An input whose stamps are suddenly off by another time: a driver that has restarted, a queue that has filled.
+"""Detection of a jump of the time offset of an input: its driver has restarted, or a queue has filled.
 
-By then its time offset is known to hundredths of a second (`measurements/time_offset.py`), and what is off would go
-into the velocity. But until it has gone there, innovations are in proportion to how fast what is measured changes, less
-what the state has followed already: their signature. The factor, least squares of the latest innovations, is how far
-the estimate is off. Where that is certain, the offset has jumped by as much (A. S. Willsky and H. L. Jones, "A
-generalized likelihood ratio approach to the detection and estimation of jumps in linear systems", IEEE Trans. Automatic
-Control 21, 1976; theirs is the signature in the whole filter, this one that in a filter of one state for each
-component, which sees half of a slow jump).
+The time offset is a state (`measurements/time_offset.py`), which is soon known to hundredths of a second. After a jump
+the filter would therefore correct the velocity instead of the offset. Innovations after a jump are the jump times a
+*signature*: the time derivative of the measured quantity, minus the part of it that the state has already followed. The
+jump is estimated by least squares from the latest innovations. If it is significant, the variance of the offset is
+increased by its square.
+
+Source: A. S. Willsky and H. L. Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps
+in linear systems", IEEE Trans. Automatic Control 21, 1976. There the signature is that of the whole filter. Here it is
+that of a filter with one state for each component, with which half of a slow jump is detected.
 """
 from __future__ import annotations
 
@@ -16,28 +18,30 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import NAV, Event, Head
 from ..update import product
-from .scale import LARGEST_INNOVATION, Scale, Seen, reopen
+from .scale import LARGEST_DEVIATION, Scale, Seen, reopen
 
-#: s for which innovations are remembered: a manoeuvre. Of those before the jump each speaks against it
-FORGETTING_TIME = 4.0
-#: s for which the state keeps what it has followed, until fixes take it back
+#: s, time constant with which earlier innovations are forgotten: the duration of a manoeuvre. Those before the jump
+#: make the estimated jump too small
+JUMP_MEMORY = 4.0
+#: s, time constant with which fixes correct the part of the error that the state has followed. Chosen, not measured
 FOLLOWING_TIME = 10.0
-#: sigmas beyond which it has jumped: so far off by chance is one manoeuvre of 370, and the estimate is as good again
-#: after the next one
-SIGNIFICANT = 3.0
-#: s, and it has jumped by so much: less is the slip of tyres and the pitch of a body that accelerates
+#: smallest significant jump in standard deviations. Exceeded by chance in one of 370 manoeuvres; the next manoeuvre
+#: then shows the offset again
+OFFSET_SIGMAS = 3.0
+#: s, smallest jump: slip of tyres and pitch of the body cause errors of this size when a vehicle accelerates
 SMALLEST_JUMP = 0.05
-#: s, beside the parameter: what is further off then has another fault, as wheels that slip, and would pass for one of
-#: that; half a second, and a sigma of what nobody declares
+#: s, largest time offset after a jump, relative to the configured one: half a second, plus one sigma of an undeclared
+#: offset. A larger one is another fault, such as wheels that slip
 LARGEST_OFFSET = 0.6
 
 
 @njit(_nrt=False)
 def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
-    """Whether the innovation of the event at `at` and those before say so; the offset's variance in P of the scratch
-    is then larger by the square of the jump.
+    """Whether the innovations up to the event at `at` show a jump. Then the variance of the offset in P of the scratch
+    is increased by the square of the jump.
 
-    own: position of the input's `Seen`. noise, variance: of the innovation, of the input and of the state at r.
+    own: position of the input's `Seen`. noise, variance: parts of the variance of the innovation, by the input and by
+    the state at r.
     """
     state = int(mem[at + Event.TIME_OFFSET])
     if state <= 0:
@@ -45,8 +49,8 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
     p = int(mem[Head.SCRATCH_AT])
     h = p + n * n
     since, gain = max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0), variance / (variance + noise)
-    keep, left = math.exp(-since / FORGETTING_TIME), math.exp(-since / FOLLOWING_TIME)
-    largest = LARGEST_INNOVATION * math.sqrt(noise + variance)
+    keep, left = math.exp(-since / JUMP_MEMORY), math.exp(-since / FOLLOWING_TIME)
+    largest = LARGEST_DEVIATION * math.sqrt(noise + variance)
     score, information = keep * mem[own + Seen.JUMP_SCORE], keep * mem[own + Seen.JUMP_INFORMATION]
     for k in range(dimensions):
         followed = left * mem[own + Seen.FOLLOWED + k]
@@ -57,12 +61,12 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
         score += signature * innovation / (noise + variance)
         information += signature * signature / (noise + variance)
     mem[own + Seen.JUMP_SCORE], mem[own + Seen.JUMP_INFORMATION] = score, information
-    if abs(score) < max(SIGNIFICANT * math.sqrt(information), SMALLEST_JUMP * information) or information == 0.0:
+    if abs(score) < max(OFFSET_SIGMAS * math.sqrt(information), SMALLEST_JUMP * information) or information == 0.0:
         return False
     jump = score / information
     if abs(mem[r + NAV + state] + jump) > LARGEST_OFFSET:
         return False
     mem[p + (n + 1) * state] += jump**2
     mem[own + Seen.JUMP_SCORE] = mem[own + Seen.JUMP_INFORMATION] = 0.0
-    reopen(mem, own, 1.0)  # what seemed to be noise may have been that
+    reopen(mem, own, 1.0)  # innovations before it may have been caused by the jump, and not by noise
     return True

@@ -1,16 +1,19 @@
-"""Whether a speed is the vehicle's: the displacement that it integrates to is compared with that between fixes.
+"""Consistency check of velocity inputs: the integral of an input is compared with the displacement between fixes.
 
-A wheel speed in km/h, one of the wrong sign, wheels that slip on sand and a velocity in other axes are taken for
-measurements with much noise, and twenty of them a second are more than a fix of metres each second can say against.
-But whatever velocity the filter estimates, the fixes show the displacement to some metres.
+A speed in km/h or of the wrong sign, slipping wheels, and a velocity in other axes look like measurements with much
+noise, and at 20 Hz they outweigh fixes at 1 Hz. But the displacement between fixes is known to some metres, whatever
+velocity the filter estimates.
 
-A Kalman filter of its own, with two states for each input: the distance between the integral of its speeds and the
-antenna, m, and the share by which its displacement is longer than that of the antenna. The share makes the distance
-grow; fixes measure the distance. Both are complex numbers, north + i east: the real part of the share is length, the
-imaginary part direction, as of a heading that is off. So the equations are those of one axis, and variances are real.
-An input whose share is significantly wrong is refused, also when fixes end, until it is right again. A heading has a
-displacement, too: along the nose, with the forward speed of the state. All are displacements of the antenna: in a turn
-on the spot it moves by more than fixes are uncertain.
+For each input there is a separate Kalman filter with two states:
+
+* the *distance* d from the antenna to the point that the input's velocity leads to when it is integrated, m;
+* the *share* s by which the input's displacement is longer than that of the antenna.
+
+The distance changes by s times the displacement, and each fix measures it. Both are complex numbers, north + i east:
+the real part of the share is an error of length, the imaginary part one of direction, as by a wrong heading. Thus the
+equations are those of one axis, and variances are real. An input with a significant share is refused until it is right
+again, also without fixes. A heading is integrated as well, with the forward speed of the state. All displacements are
+those of the antenna, which in a turn on the spot moves by more than the noise of the fixes.
 """
 from __future__ import annotations
 
@@ -24,31 +27,32 @@ from .hypotheses import SHORTEST_CORRELATION
 from .receiver import LASTING_TIME
 from .scale import Inputs, Seen
 
-#: variance of the share before any fix is compared: a speed in another unit, or of the wrong sign
-PRIOR = 1.0
-#: 1/m, by which it grows with the distance travelled: on another ground wheels slip by another share, six percent in a
-#: kilometre
+#: prior variance of the share: a speed in another unit, or of the wrong sign
+SHARE_PRIOR = 1.0
+#: 1/m, growth of the variance of the share with the distance travelled: slip changes with the ground, by six percent in
+#: a kilometre
 SHARE_WALK = 4e-6
-#: error of a displacement within a second, as a share of it, one sigma: bends between samples, a heading one degree off
+#: standard deviation of a displacement within a second, as a share of it: bends between samples, a heading error of one
+#: degree
 UNEVEN_SHARE = 0.02
-#: sigmas: a fix that is further off is not compared (four: one of 3000 by chance, chosen). After two in a row the fixes
-#: have jumped, or the speed has changed: the distance and its share begin anew
-GATE = 4.0
-#: s: over a longer pause of an input its displacement is unknown
+#: a fix beyond this many standard deviations is not compared: one of 3000 by chance. After two in a row the fixes have
+#: jumped or the input has changed, and the estimate begins anew. Chosen, not measured
+COMPARED_GATE = 4.0
+#: s: after a longer pause of an input its displacement is unknown
 LONGEST_PAUSE = 1.5
-#: rad: with a heading that is less known the displacement of wheels has no direction
-LARGEST_YAW_SIGMA = 0.3
-#: a speed may be off by this share: tyres that nobody declared, which is about what the filter can estimate
+#: rad: with a larger standard deviation of the heading, the direction of a displacement of wheels is unknown
+LARGEST_HEADING_SIGMA = 0.3
+#: share that is not an error: tyres of another size, about as much as the filter itself can estimate
 TOLERATED_SHARE = 0.05
-#: sigmas beyond which a share is significantly larger than that
-SIGNIFICANT = 3.0
-#: sigma of the share below which an input has been compared: a share of a third is then significant
+#: standard deviations by which a share has to exceed the tolerated one to be significant
+SHARE_SIGMAS = 3.0
+#: standard deviation of the share below which the comparison is complete: a share of a third would be significant
 COMPARED_SIGMA = 0.09
 
 
 @njit(_nrt=False)
 def interrupt(mem, own):
-    """What an input measures now is part of no displacement: the next one begins with the next fix."""
+    """End the displacement of an input: the next one begins with the next fix."""
     mem[own + Seen.START] = 0.0
 
 
@@ -56,17 +60,17 @@ def interrupt(mem, own):
 def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_variance):
     """Integrate the velocity that an input measures at `time`, s. own: position of its `Seen`.
 
-    v_n, v_e: velocity of the antenna, m/s, linear between two of them. density: variance of the integral in 1 s, m^2/s.
-    yaw_variance: of the heading it was turned by, rad^2. late: by which its stamps are late, s, late_variance: the
-    variance of that.
+    v_n, v_e: velocity of the antenna, m/s; linear between two measurements. density: variance of the integral in 1 s,
+    m^2/s. yaw_variance: of the heading by which the velocity was rotated, rad^2. late, late_variance: estimated time
+    offset of its stamps, s, and the variance of this estimate.
     """
     before, mem[own + Seen.DISPLACEMENT_TIME] = mem[own + Seen.DISPLACEMENT_TIME], time
     since = time - before
     mem[own + Seen.TRAVELLED] += mem[r + Nav.V_N] * since
     mem[own + Seen.TRAVELLED + 1] += mem[r + Nav.V_E] * since
-    if before != 0.0 and since > LONGEST_PAUSE:  # too slow to be integrated, so nothing contradicts it
-        _believe(mem, own)
-    if yaw_variance > LARGEST_YAW_SIGMA**2:
+    if before != 0.0 and since > LONGEST_PAUSE:  # too slow to be integrated: accepted without a comparison
+        _accept(mem, own)
+    if yaw_variance > LARGEST_HEADING_SIGMA**2:
         _forget_share(mem, own)
         interrupt(mem, own)
     if not 0.0 < since <= LONGEST_PAUSE:
@@ -82,7 +86,7 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
 
 @njit(_nrt=False)
 def forget(mem, own):
-    """An input has become another one: it is wrong until it is known to be right."""
+    """Begin the comparison of an input anew after it has changed; until it is complete, the input counts as wrong."""
     _forget_share(mem, own)
     interrupt(mem, own)
     mem[own + Seen.COMPARED] = -1.0
@@ -90,13 +94,13 @@ def forget(mem, own):
 
 @njit(_nrt=False)
 def _forget_share(mem, own):
-    """Nothing is known of the share but the prior."""
+    """Reset the share to its prior."""
     mem[own + Seen.SHARE] = mem[own + Seen.SHARE + 1] = mem[own + Seen.REDUCED] = 0.0
 
 
 @njit(_nrt=False)
 def compare(mem, r, at, variance):
-    """Compare the displacements of all inputs with that to the fix at `at`; variance: of one of its components, m^2."""
+    """Compare the displacement of each input with that to the fix at `at`. variance: of one component of it, m^2."""
     width, inputs = int(mem[Head.WIDTH]), int(mem[Inputs.COUNT])
     for i in range(inputs):
         _compare(mem, r, at, nonnegative(r + width - INPUT_SIZE * (i + 1)), variance)
@@ -110,9 +114,9 @@ def _compare(mem, r, at, own, variance):
     since = time - mem[own + Seen.DISPLACEMENT_TIME]
     last_n, last_e = mem[own + Seen.LAST] * since, mem[own + Seen.LAST + 1] * since
     interval = time - mem[own + Seen.START]
-    # stamps that are late by more than has been found yet
+    # with the error by a time offset that has not been estimated yet
     noise = variance + UNDECLARED_OFFSET**2 * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
-    if interval > 0.0:  # errors of a fix last: all fixes within that time count as one
+    if interval > 0.0:  # errors of successive fixes are correlated: all fixes within this time count as one
         noise *= max(1.0, SHORTEST_CORRELATION / interval)
     if mem[own + Seen.START] == 0.0 or since > LONGEST_PAUSE:
         _begin(mem, own, noise)
@@ -128,7 +132,7 @@ def _compare(mem, r, at, own, variance):
             return
     mem[own + Seen.START], mem[own + Seen.VARIANCE] = time, 0.0
     mem[own + Seen.TRAVELLED] = mem[own + Seen.TRAVELLED + 1] = 0.0
-    # what is before the fix belongs to the displacement before
+    # the time up to the fix belongs to the previous displacement
     mem[own + Seen.DISPLACEMENT], mem[own + Seen.DISPLACEMENT + 1] = -last_n, -last_e
     mem[own + Seen.BEGAN], mem[own + Seen.BEGAN + 1] = mem[own + Seen.LAST], mem[own + Seen.LAST + 1]
     mem[own + Seen.LATE] = 0.0
@@ -137,7 +141,7 @@ def _compare(mem, r, at, own, variance):
 
 @njit(_nrt=False)
 def _begin(mem, own, noise):
-    """The distance of an input begins anew, at a fix with this variance, m^2; the estimate of its share stays."""
+    """Begin the distance of an input anew at a fix with the variance `noise`, m^2. The estimate of the share stays."""
     for i in range(2):
         mem[own + Seen.DISTANCE + i] = mem[own + Seen.COVARIANCE + i] = 0.0
     mem[own + Seen.DISTANCE_VARIANCE], mem[own + Seen.REJECTED] = noise, 0.0
@@ -145,28 +149,26 @@ def _begin(mem, own, noise):
 
 @njit(_nrt=False)
 def learn(mem, own, moved, fixes, drift, noise):
-    """Learn from the displacement of an input (moved) and of the fixes, since the fix before, m, north + i east.
+    """Kalman step with the displacements since the previous fix by an input (moved) and the fixes, m, north + i east.
 
-    own: position of its `Seen`.
-
-    drift: variance that the distance gathers besides; noise: of the fix, m^2. Returns whether the fix has been
-    compared, and the next displacement begins at it.
+    own: position of the input's `Seen`. drift: process noise of the distance, m^2. noise: variance of the fix, m^2.
+    Returns whether the fix was compared, so that the next displacement begins at it.
     """
-    # that of the filter: that of the input has noise, which would pass for a share of its own
+    # displacement of the filter: that of the input contains noise, which would make the estimated share too small
     travelled = complex(mem[own + Seen.TRAVELLED], mem[own + Seen.TRAVELLED + 1])
     share = complex(mem[own + Seen.SHARE], mem[own + Seen.SHARE + 1])
     covariance = complex(mem[own + Seen.COVARIANCE], mem[own + Seen.COVARIANCE + 1])  # covariance of distance and share
-    variance = min(PRIOR - mem[own + Seen.REDUCED] + SHARE_WALK * abs(travelled), PRIOR)
+    variance = min(SHARE_PRIOR - mem[own + Seen.REDUCED] + SHARE_WALK * abs(travelled), SHARE_PRIOR)
     expected = (mem[own + Seen.DISTANCE_VARIANCE] + 2.0 * (covariance * travelled.conjugate()).real
                 + abs(travelled) ** 2 * variance + drift)
     covariance += travelled * variance
-    # the distance as estimated, less the one measured at the fix before, is in DISTANCE
+    # DISTANCE holds the distance estimated minus that measured at the previous fix
     innovation = moved - fixes - share * travelled - complex(mem[own + Seen.DISTANCE], mem[own + Seen.DISTANCE + 1])
-    if abs(innovation) ** 2 > GATE**2 * (expected + noise):
+    if abs(innovation) ** 2 > COMPARED_GATE**2 * (expected + noise):
         mem[own + Seen.REJECTED] += 1.0
         if mem[own + Seen.REJECTED] < 2.0:
             return False
-        # one that was wrong is so until it is known to be right
+        # an input that was wrong counts as wrong until the new comparison is complete
         wrong = _is_significant(mem, own, abs(share), TOLERATED_SHARE)
         mem[own + Seen.COMPARED], mem[own + Seen.REDUCED] = -1.0 if wrong else 0.0, 0.0
         _begin(mem, own, noise)
@@ -176,33 +178,34 @@ def learn(mem, own, moved, fixes, drift, noise):
     variance -= abs(covariance) ** 2 / (expected + noise)
     covariance *= 1.0 - gain
     left = (gain - 1.0) * innovation
-    mem[own + Seen.SHARE], mem[own + Seen.SHARE + 1], mem[own + Seen.REDUCED] = share.real, share.imag, PRIOR - variance
+    mem[own + Seen.SHARE], mem[own + Seen.SHARE + 1] = share.real, share.imag
+    mem[own + Seen.REDUCED] = SHARE_PRIOR - variance
     mem[own + Seen.COVARIANCE], mem[own + Seen.COVARIANCE + 1] = covariance.real, covariance.imag
     mem[own + Seen.DISTANCE], mem[own + Seen.DISTANCE + 1] = left.real, left.imag
     mem[own + Seen.DISTANCE_VARIANCE] = gain * noise
     mem[own + Seen.REJECTED] = 0.0
     if variance < COMPARED_SIGMA**2:
-        _believe(mem, own)
+        _accept(mem, own)
     return True
 
 
 @njit(_nrt=False)
-def _believe(mem, own):
-    """Nothing has to be awaited before an input is believed."""
+def _accept(mem, own):
+    """Mark the comparison of an input as complete."""
     if mem[own + Seen.COMPARED] <= 0.0:
         mem[own + Seen.COMPARED] = mem[own + Seen.DISPLACEMENT_TIME]
 
 
 @njit(_nrt=False)
 def is_compared(mem, own):
-    """Whether the share of an input has been known well enough to be contradicted, were it wrong."""
+    """Whether the comparison of an input is complete: a wrong share would have been significant."""
     return mem[own + Seen.COMPARED] != 0.0
 
 
 @njit(_nrt=False)
 def differs(mem, own, kind, tolerated):
-    """Whether the displacements of an input of this kind are significantly not those of the fixes. tolerated: share by
-    which they may differ; of a heading, rad."""
+    """Whether the displacements of an input of this kind differ significantly from those of the fixes. tolerated: share
+    by which they may differ; of a heading, rad."""
     share = complex(mem[own + Seen.SHARE], mem[own + Seen.SHARE + 1])
     if is_of_heading(kind):
         off = abs(math.atan2(share.imag, 1.0 + share.real))
@@ -213,4 +216,4 @@ def differs(mem, own, kind, tolerated):
 
 @njit(_nrt=False)
 def _is_significant(mem, own, off, tolerated):
-    return off > tolerated + SIGNIFICANT * math.sqrt(PRIOR - mem[own + Seen.REDUCED])
+    return off > tolerated + SHARE_SIGMAS * math.sqrt(SHARE_PRIOR - mem[own + Seen.REDUCED])

@@ -1,17 +1,18 @@
-"""How far the sensors drift, as a multiple of what is assumed: learned from how the estimates of their errors move.
+"""Drift of the sensors as a multiple of the assumed one, learned from the changes of their estimated errors.
 
-Over a WINDOW the estimate of an error moves by d, beside what its model lets it decay. The filter expects of d^2 what
-the measurements have taken of the variance: decay^2 (P before) + Q - (P after). A sensor that drifts by more than is
-assumed moves its estimate by more, one that drifts by less moves it by less, whatever it is that tells: fixes,
-constraints, standstills. The mean of d^2 over that multiplies Q, so that the mean becomes 1 (covariance matching, R. K.
-Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17, 1972). A bias that a sensor was switched on
-with has no state of its own and does not decay: d is the smaller one of with and without. Strapdown with random walk or
-Gauss-Markov; the steps of AR(p) are as configured, and what the planar filter calls drift are slopes.
+Within a DRIFT_WINDOW the estimate of an error changes by d, apart from the decay of its model. The expectation of d^2
+is the variance that measurements have removed in this time: decay^2 (P before) + Q - (P after). If a sensor drifts more
+than assumed, d^2 is larger, and if it drifts less, d^2 is smaller, whichever measurements (fixes, constraints,
+standstills) show the drift. The mean of d^2 over its expectation is the factor on Q (covariance matching, R. K. Mehra,
+"Approaches to adaptive filtering", IEEE Trans. Automatic Control 17, 1972).
 
-A receiver whose errors last (a time offset) moves the estimates, too, and with nothing but fixes nobody can say that it
-is not the sensors: where the innovations last, the squares are larger than expected by `variance_factor` with sensors
-that are as assumed. The ratio is then the one nearest to 1 between both, all of that the receiver's or none.
-Constraints and standstills hold the estimates against it.
+The turn-on bias of a sensor is part of the same state, but does not decay. So d is computed with and without decay, and
+the smaller one is used. Drift is learned in the strapdown filter with random walk or Gauss-Markov models. AR(p) models
+are used as configured, and in the planar filter slopes of the road would count as drift.
+
+Correlated errors of the receiver, such as a time offset, also change the estimates. With fixes alone they cannot be
+told from drift. The ratio is then computed twice, as if correlated innovations (`variance_factor`) were caused entirely
+by the receiver or entirely by the sensors, and the value nearest to 1 between both results is used.
 """
 from __future__ import annotations
 
@@ -26,41 +27,41 @@ DriftSettings = HEAD.place('DriftSettings', LEARNED=1)
 #: of a state; pairs are of accelerometers and gyroscopes
 Drift = ROW.place(
     'Drift',
-    TIME=1,  # s, of the estimates that the next are compared with; 0: none
-    BIAS=6,  # these,
+    TIME=1,  # s, begin of the window; 0: none
+    BIAS=6,  # estimated errors at that time, m/s^2 and rad/s,
     BIAS_VARIANCE=6,  # and their variances
-    RATIO=(2, 1.0),  # realised over assumed variance
-    SUM=2,  # of what went into that,
+    RATIO=(2, 1.0),  # realised over assumed variance of the drift
+    SUM=2,  # sum of d^2 over its expectation,
     WEIGHT=2,  # its weight,
-    LEAST_SUM=2)  # and the sum if what lasts of the innovations is the receiver's
+    LEAST_SUM=2)  # and the sum with correlated innovations as errors of the receiver
 
-#: s: estimates are compared over so long; over less they hardly move
-WINDOW = 30.0
-#: share of the variance: where measurements have taken less of it away they say nothing
+#: s from one estimate to the next that it is compared with: within less they hardly change. Chosen, not measured
+DRIFT_WINDOW = 30.0
+#: smallest share of the variance that measurements have to remove in a window for it to count. Chosen, not measured
 LEAST_REDUCTION = 0.1
-#: times Q: where they have taken more they show the bias that the sensor was switched on with
+#: largest reduction of the variance over Q: a larger one is caused by the turn-on bias, not by drift
 LARGEST_REDUCTION = 2.0
-#: a drift squared, over its variance, counts no more than this: one fault must not ruin the rest
+#: upper limit of one d^2 over its expectation, so that a single fault does not decide
 LARGEST_DRIFT = 9.0
-#: comparisons, one for each axis and window: the assumed drift is worth so many
+#: weight of the prior, a ratio of 1, in comparisons: one window of three axes
 DRIFT_PRIOR = 3.0
-#: comparisons: no more than so many are remembered, ten minutes
+#: number of comparisons that are remembered: ten minutes
 DRIFT_MEMORY = 60.0
-#: multiple of the assumed variance that is believed at least of accelerometers: a small error of one, which shows
-#: together with the tilt, is not told well enough to count on it. Of gyroscopes DRIFT_PRIOR leaves a twentieth
-SMALLEST_RATIO = 1.0
-#: and at most, of both: ten times the assumed drift is another sensor's
-LARGEST_RATIO = 100.0
+#: lower limit of the ratio of accelerometers: a bias is observed only together with the tilt, which is not enough to
+#: rely on a small drift. The ratio of gyroscopes has no limit; DRIFT_PRIOR keeps it above a twentieth
+SMALLEST_DRIFT_RATIO = 1.0
+#: upper limit of both ratios: ten times the assumed drift is that of another class of sensors
+LARGEST_DRIFT_RATIO = 100.0
 
 
 @njit(_nrt=False)
 def learn_drift(mem, r):
-    """Realised over assumed variance of the drift of accelerometers and gyroscopes; r: of a state with its fix."""
+    """Update the ratios of accelerometers and gyroscopes. r: state after its correction by a fix."""
     if mem[DriftSettings.LEARNED] == 0.0:
         return
     begin, time = mem[r + Drift.TIME], mem[r + Nav.TIME]
     since = time - begin
-    if begin != 0.0 and since < WINDOW:
+    if begin != 0.0 and since < DRIFT_WINDOW:
         return
     mem[r + Drift.TIME] = time
     lasting = variance_factor(mem, r) if mem[Head.CONSTRAINTS] == 0.0 else 1.0
@@ -93,5 +94,5 @@ def learn_drift(mem, r):
         most = (DRIFT_PRIOR + mem[r + Drift.SUM + sensor]) / (DRIFT_PRIOR + seen)
         ratio = min(max(least, 1.0), most)
         if sensor == 0:
-            ratio = max(ratio, SMALLEST_RATIO)
-        mem[r + Drift.RATIO + sensor] = min(ratio, LARGEST_RATIO)
+            ratio = max(ratio, SMALLEST_DRIFT_RATIO)
+        mem[r + Drift.RATIO + sensor] = min(ratio, LARGEST_DRIFT_RATIO)

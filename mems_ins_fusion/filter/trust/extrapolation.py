@@ -1,11 +1,11 @@
-"""A receiver without satellites that extrapolates: its fixes lie on a straight line, evenly spaced.
+"""Detection of a receiver that extrapolates without satellites: its fixes lie evenly spaced on a straight line.
 
-Where the vehicle keeps its velocity, too, such fixes fit; where it brakes or turns, the filter has the choice between
-them and the IMU. But fixes that are measured scatter, and these follow from those before them to the centimetre. A
-test of two hypotheses against each other, fix by fix: extrapolated, and measured (E. S. Page, "Continuous inspection
-schemes", Biometrika 41, 1954; A. Wald, *Sequential Analysis*, 1947). Where the fixes then depart from the path that
-the inertial sensors show, those on the line are refused, and those that have been used by then are withdrawn: a
-receiver that smooths follows a line, too, but with the vehicle.
+Such fixes agree with the filter as long as the vehicle keeps its velocity, and contradict the IMU when it brakes or
+turns. Measured fixes scatter, while each extrapolated fix follows from the ones before it to a centimetre. A sequential
+test compares the two hypotheses, extrapolated and measured, with each fix (E. S. Page, "Continuous inspection schemes",
+Biometrika 41, 1954; A. Wald, *Sequential Analysis*, 1947). A receiver that smooths its positions also follows a
+straight line, but with the vehicle. So fixes are refused only after they have departed from the path by the inertial
+sensors; those on the line that were used before are withdrawn.
 """
 from __future__ import annotations
 
@@ -22,49 +22,50 @@ from .standstill import moves
 #: of a state
 Extrapolation = ROW.place(
     'Extrapolation',
-    BEGIN=3,  # a fix: time, s, latitude and longitude, rad,
-    LAST=3,  # and a later one; the next is compared with the line through both
-    NATS=1,  # logarithm of the likelihood ratio,
-    SINCE=1,  # s: which fixes it is about: from this time on,
-    MOVED=4,  # m, m/s, north and east: how far they have moved position and velocity since then
-    REPORTED=1,  # 1: the kernel knows of these
-    SCATTER=1,  # m^2, on each axis: mean square of how a fix is off less how the one before it was,
-    COUNT=1,  # of so many fixes,
-    CLAIMED=1)  # and what these claim in the mean, m^2, north and east
-#: s: the fixes from this time on have turned out to be wrong, of which the kernel does not know yet; 0: none
+    BEGIN=3,  # first fix on the line: time, s, latitude and longitude, rad,
+    LAST=3,  # and latest one; the next fix is compared with the line through both
+    NATS=1,  # logarithm of the likelihood ratio, extrapolated over measured,
+    SINCE=1,  # s, time of the first fix that it refers to,
+    MOVED=4,  # m, m/s, north and east: change of position and velocity by the fixes since then
+    REPORTED=1,  # 1: these fixes have been reported to the kernel (`Wrong`)
+    SCATTER=1,  # m^2 per axis: mean square of the change of the residual from one fix to the next,
+    COUNT=1,  # the number of fixes in it,
+    CLAIMED=1)  # and the mean of the variance that they claim, m^2, north plus east
+#: s, time from which on fixes have turned out to be wrong, for the kernel; 0: none
 Wrong = HEAD.place('Wrong', SINCE=1)
 
-#: m: extrapolated fixes lie on the line to this sigma on each axis, the last digits of the positions included
+#: m, standard deviation per axis of extrapolated fixes from the line, rounding of the positions included
 LINE_SIGMA = 0.05
-#: multiple of LINE_SIGMA: a receiver that scatters by less than this cannot be told from one that extrapolates
+#: smallest scatter of a receiver over LINE_SIGMA with which it can be told from one that extrapolates
 LEAST_RATIO = 4.0
-#: s: fixes further apart are not extrapolated from each other; the slowest receivers send one each ten seconds
+#: s, longest interval between fixes of one line: the slowest receivers send a fix each ten seconds
 LONGEST_STEP = 15.0
-#: s: the residual of a used fix before the last one is compared with the next up to this age, for which an IMU holds
+#: s, largest age of the residual with which a fix is compared if it is not that of the previous fix: the drift of the
+#: IMU in this time is small
 LONGEST_COMPARED = 3.0
-#: nats that one fix may add at most: of measured ones, too, one lies on the line by chance
+#: nats, upper limit of the evidence of one fix: a measured fix may also lie on the line by chance
 LARGEST_EVIDENCE = 5.0
-#: nats above which no more are gathered: one fix off the line ends it in any case
+#: nats, upper limit of the sum: one fix that is not on the line has to end it
 LARGEST_NATS = 15.0
-#: fixes from which on its scatter is used: it is then known to a fifth
+#: number of fixes after which the scatter is used: it is then known to a fifth
 FEWEST_FIXES = 30.0
-#: fixes over which the scatter is a mean: known to a tenth, and of the last minutes
+#: number of fixes over which the scatter is averaged: it is known to a tenth then, and is that of the last minutes
 SCATTER_MEMORY = 100.0
-#: a squared change counts as so many times the mean at most: one jump is not the scatter
+#: upper limit of one squared change over the mean, so that a single jump does not count as scatter
 LARGEST_SQUARE = 4.0
-#: sigmas that fixes claim: beyond this they have departed from the vehicle
+#: number of claimed standard deviations beyond which fixes have departed from the path by the inertial sensors
 DEPARTED = 2.0
 
 
 @njit(_nrt=False)
 def is_extrapolated(mem, r, at, z_n, z_e):
-    """Whether the fix at `at` comes from a receiver that extrapolates, or is withdrawn; it is remembered.
+    """Whether the fix at `at` comes from a receiver that extrapolates, or was withdrawn. Updates the test.
 
-    z_n, z_e: predicted minus measured position, m, without what the filter knows of its errors in open loop.
+    z_n, z_e: predicted minus measured position, m, after removal of the estimated errors of the state (open loop).
     """
     claimed = mem[at + Event.R_NN] + mem[at + Event.R_EE]
     better = CLAIM_CHANGE * claimed < mem[r + Extrapolation.CLAIMED]
-    if better:  # measured otherwise, as with a base, which follows a straight road to the centimetre
+    if better:  # another mode of the receiver, such as RTK, whose fixes on a straight road are on a line
         mem[r + Extrapolation.SCATTER] = mem[r + Extrapolation.COUNT] = mem[r + Extrapolation.CLAIMED] = 0.0
     begin, last = r + Extrapolation.BEGIN, r + Extrapolation.LAST
     time, latitude, longitude = mem[at + Event.TIME], mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
@@ -73,7 +74,7 @@ def is_extrapolated(mem, r, at, z_n, z_e):
     known = (0.0 < step < LONGEST_STEP and length > 0.0 and mem[begin] != 0.0
              and mem[r + Extrapolation.COUNT] >= FEWEST_FIXES and scatter > (LEAST_RATIO * LINE_SIGMA) ** 2)
     if known and mem[r + Extrapolation.NATS] == 0.0:
-        mem[r + Extrapolation.SINCE] = mem[last]  # if it is extrapolated, so was the last one
+        mem[r + Extrapolation.SINCE] = mem[last]  # if this fix is extrapolated, so was the previous one
         known = length < LONGEST_STEP
     changed_n, changed_e = _residual_change(mem, r, time, step, z_n, z_e)
     for i in range(2):
@@ -83,7 +84,7 @@ def is_extrapolated(mem, r, at, z_n, z_e):
     if known:
         nats = mem[r + Extrapolation.NATS] + min(_evidence(mem, r, at, squared, scatter), LARGEST_EVIDENCE)
     mem[r + Extrapolation.NATS] = min(max(nats, 0.0), LARGEST_NATS)
-    if mem[r + Extrapolation.NATS] == 0.0:  # else the line goes on from where it began: a slow bend is none
+    if mem[r + Extrapolation.NATS] == 0.0:  # otherwise the line keeps its begin, so that a slow bend is not one
         mem[r + Extrapolation.REPORTED] = 0.0
         for i in range(4):
             mem[r + Extrapolation.MOVED + i] = 0.0
@@ -91,20 +92,20 @@ def is_extrapolated(mem, r, at, z_n, z_e):
             mem[begin + i] = mem[last + i]
     mem[last], mem[last + 1], mem[last + 2] = time, latitude, longitude
     departed = (z_n - mem[r + Extrapolation.MOVED]) ** 2 + (z_e - mem[r + Extrapolation.MOVED + 1]) ** 2
-    imu_is_right = mem[r + Nav.USE_ALL_FIXES] == 0.0 and mem[r + Nav.BRIDGED] == 0.0  # and used
+    imu_is_right = mem[r + Nav.USE_ALL_FIXES] == 0.0 and mem[r + Nav.BRIDGED] == 0.0
     found = known and mem[r + Extrapolation.NATS] > -math.log(hypotheses.FAULT_RATE * step) and (
         mem[r + Extrapolation.REPORTED] != 0.0
         or imu_is_right and moves(mem, r) and departed > DEPARTED * DEPARTED * claimed)
     if mem[Head.GATE] > 0.0 and found or mem[at + Event.WITHDRAWN] != 0.0:
         return True
-    if not better:  # how it is off less how the one before it was, is the error of that
+    if not better:  # in another mode of the receiver the change is dominated by the error of the previous fix
         _learn(mem, r, 0.5 * squared, claimed)
     return False
 
 
 @njit(_nrt=False)
 def refuse_fix(mem, r, at):
-    """Refuse the fix at `at`, and report those before it that have been used to the kernel."""
+    """Refuse the fix at `at`, and report the fixes before it that were used to the kernel."""
     mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.EXTRAPOLATED, 0.0
     mem[r + Hypothesis.START_DUE] = 0.0
     if mem[r + Extrapolation.REPORTED] == 0.0 and mem[at + Event.WITHDRAWN] == 0.0:
@@ -114,39 +115,42 @@ def refuse_fix(mem, r, at):
 
 @njit(_nrt=False)
 def are_found(mem, r):
-    """Whether the latest fixes are certainly extrapolated, as the filter with the state at r sees them."""
+    """Whether the filter with the state at r has found the latest fixes to be extrapolated."""
     return mem[r + Extrapolation.REPORTED] != 0.0
 
 
 @njit(_nrt=False)
 def note_move(mem, r, before, after):
-    """Remember what a fix on the line has done to the state at r: its position and velocity before and after that."""
+    """Add the correction of the state at r by a fix on the line. before, after: `position_and_velocity`."""
     if mem[r + Extrapolation.NATS] > 0.0:
         hypotheses.add_move(mem, r, r + Extrapolation.MOVED, before, after)
 
 
 @njit(_nrt=False)
 def _scatter(mem, r, claimed):
-    """Mean square of what is off from fix to fix, m^2 on each axis: what has been seen, but no more than that of two
-    fixes that are as sure as this one, which has `claimed` m^2 (north and east), is by what the receiver has shown. A
-    filter that is wrong itself sees more, and a receiver to a centimetre follows every straight road."""
+    """Mean square change of the residual from one fix to the next, m^2 per axis. claimed: variance of the fix, north
+    plus east, m^2.
+
+    Its upper limit is what two fixes with this claim have by the learned scatter of the receiver: residuals of a filter
+    that is wrong itself change by more.
+    """
     return min(mem[r + Extrapolation.SCATTER], realised_scatter(mem, r) * claimed)
 
 
 @njit(_nrt=False)
 def _evidence(mem, r, at, changed, scatter):
-    """Logarithm of the density of the fix at `at` for a receiver that extrapolates, less that for one that measures.
+    """Log likelihood of the fix at `at` for a receiver that extrapolates, minus that for one that measures.
 
-    changed: square of what `_residual_change` says, m^2. scatter: what `_scatter` says.
+    changed: square of `_residual_change`, m^2. scatter: result of `_scatter`, m^2.
     """
     begin, last = r + Extrapolation.BEGIN, r + Extrapolation.LAST
     part = (mem[at + Event.TIME] - mem[last]) / (mem[last] - mem[begin])
     north = mem[at + Event.LATITUDE] - mem[last + 1] - part * (mem[last + 1] - mem[begin + 1])
     east = mem[at + Event.LONGITUDE] - mem[last + 2] - part * (mem[last + 2] - mem[begin + 2])
     off = (north / mem[r + Nav.NORTH_SCALE]) ** 2 + (east / mem[r + Nav.EAST_SCALE]) ** 2
-    # a receiver that has scattered less than now still measures
+    # a change that is larger than the usual scatter is no evidence of extrapolation
     scatter = max(scatter, 0.5 * changed)
-    # one that measures to the centimetre lies on the line, too, where the vehicle goes straight on and the IMU is wrong
+    # fixes with centimetre accuracy are also on the line if the vehicle drives straight and the IMU is wrong
     claimed = 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     by_claim = max(claimed, LINE_SIGMA * LINE_SIGMA) * (1.0 + part * part + (1.0 + part) ** 2)
     measured = max(_log_density(changed, scatter), _log_density(off, by_claim))
@@ -155,8 +159,8 @@ def _evidence(mem, r, at, changed, scatter):
 
 @njit(_nrt=False)
 def _residual_change(mem, r, time, step, z_n, z_e):
-    """How the fix is off less how the last one was that was used, m; zeros where that is too long ago. step: s, since
-    the fix before it."""
+    """Residual of the fix minus that of the last fix used, north and east, m; zeros if that was too long ago. step: s
+    since the previous fix."""
     since = time - mem[r + Nav.RESIDUAL_TIME]
     if (mem[r + Nav.RESIDUAL_TIME] == 0.0 or not 0.0 < since < LONGEST_STEP
             or since > step and since >= LONGEST_COMPARED):
@@ -166,7 +170,7 @@ def _residual_change(mem, r, time, step, z_n, z_e):
 
 @njit(_nrt=False)
 def _learn(mem, r, squared, claimed):
-    """The scatter from fix to fix, from one square of it, m^2 on each axis. claimed: m^2, by the fix."""
+    """Update the scatter with one squared change of the residual, m^2 per axis. claimed: variance of the fix, m^2."""
     if squared == 0.0:
         return
     mem[r + Extrapolation.COUNT] += 1.0
@@ -180,5 +184,5 @@ def _learn(mem, r, squared, claimed):
 
 @njit(_nrt=False)
 def _log_density(squared, variance):
-    """Of a vector in the plane whose square is given, with the same variance on each axis."""
+    """Log density of a normal vector in the plane. squared: its square. variance: that of each axis."""
     return -0.5 * squared / variance - math.log(2.0 * math.pi * variance)

@@ -278,7 +278,7 @@ def _note_wrong_displacement(mem, r, at, n):
         return
     error, tolerated = _constant_error(mem, at), displacement.TOLERATED_SHARE
     if error >= 0:
-        tolerated = displacement.SIGNIFICANT * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
+        tolerated = displacement.SHARE_SIGMAS * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
     if displacement.differs(mem, own, kind, tolerated):
         # it has misled the state where it was used since the fix before: one that was refused has not
         fitted = mem[own + Seen.FITTED]

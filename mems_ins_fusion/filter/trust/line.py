@@ -1,4 +1,4 @@
-"""A straight line through positions over time, by least squares, as sums over them in the memory."""
+"""Straight line fitted to positions over time by least squares; the sums for it are kept in the memory."""
 from __future__ import annotations
 
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from mems_ins_fusion.compiled import njit
 class _Line(NamedTuple):
     """Columns of one line."""
 
-    COUNT: int = 0  # positions, or the sum of their weights; 0: there is no line, and what follows counts for nothing
+    COUNT: int = 0  # number of positions, or the sum of their weights; 0: there is no line
     SINCE: int = 1  # s, time of the first
     T: int = 2  # sums: of the time since then, s,
     TT: int = 3  # of its square,
@@ -22,13 +22,13 @@ class _Line(NamedTuple):
 
 
 Line = _Line()
-#: positions through which a line tells something at least: one through fewer fits anything
+#: smallest number of positions of a meaningful line: with fewer, any positions are near a line. Chosen, not measured
 FEWEST_ON_LINE = 5.0
 
 
 @njit(_nrt=False)
 def begin_line(mem, at, time):
-    """A line without positions, whose first will be that of `time`, s."""
+    """Begin a line without positions. time: s, of the first position to come."""
     for i in range(Line.SIZE):
         mem[at + i] = 0.0
     mem[at + Line.SINCE] = time

@@ -1,7 +1,7 @@
 """New starts: of the whole state from fixes that were refused although they are right, of the heading from the course.
 
-Sums over a row of refused fixes (`Nav.REFUSED` and the columns after it) give a line through their innovations. Fixes
-that lie on it agree with each other, and its slope tells whether the filter has diverged from them.
+A straight line over time is fitted to the innovations of fixes refused in a row (`line.py`, at `Nav.REFUSED`). Fixes
+near this line agree with each other. Its slope shows whether the filter has diverged from them.
 """
 from __future__ import annotations
 
@@ -21,40 +21,42 @@ from .line import FEWEST_ON_LINE, Line, add_to_line, begin_line, fit_line
 from .receiver import Receiver, excess_scatter
 from .scale import reset_scale
 
-#: s: fixes further apart say nothing of the course, as the vehicle may have turned between them
+#: s, longest interval between two fixes that give a course: within more the vehicle may have turned
 LONGEST_PAIR = 3.0
 #: s after which a filter that diverges from refused fixes starts anew from them: innovations that grow by
 #: DIVERGED_SLOPE have then grown by more than fixes scatter
 DIVERGED_AFTER = 2.0
-#: m/s, by which they then grow at least: a receiver's errors do not, but for one that drifts
+#: m/s, smallest growth of the innovations of a filter that has diverged. Errors of a receiver grow more slowly, except
+#: while it drifts
 DIVERGED_SLOPE = 2.0
-#: share of the size of the refused innovations by which they have grown where the filter diverged from the fixes: those
-#: of a receiver that jumped stay as they were
+#: smallest growth as a share of the size of the innovations: those of a receiver that has jumped do not grow
 DIVERGED_SHARE = 0.5
-#: probability below which it is significant that innovations of fixes that only scatter have a slope: one in a thousand
-#: rows of refused fixes
+#: probability that fixes that only scatter have such a slope, below which it is significant: one in a thousand rows of
+#: refused fixes
 SIGNIFICANCE = 0.001
-#: sigmas by which refused fixes that agree scatter about a line at most
+#: number of standard deviations of a fix by which refused fixes that agree scatter about the line at most
 AGREEMENT_SIGMAS = 2.0
-#: m more: a vehicle that brakes or turns leaves the line by about so much
+#: m, added to the standard deviation: a vehicle that brakes or turns leaves the line by about this distance
 AGREEMENT_FLOOR = 1.0
-#: and this share of how far they are off, as the line of a filter that turned away is none
+#: share of the size of the innovations that is allowed in addition: a filter with a wrong heading leaves on a curve
 AGREEMENT_SHARE = 0.3
-#: m/s, sigma of a new start's velocity besides what the fixes tell: what a vehicle gains between two of them
+#: m/s, standard deviation of the velocity after a new start, besides the noise of the fixes: change of a vehicle's
+#: velocity between two fixes
 NEW_VELOCITY_SIGMA = 0.5
-#: m/s above which a course is a heading: slower, errors of the velocity turn it too far
+#: m/s, smallest speed whose course gives a heading: at lower speeds the error of the velocity is too large
 COURSE_SPEED = 3.0
-#: rad, sigma of such a heading: sideslip, turns between two fixes
+#: rad, standard deviation of such a heading: sideslip, turns between two fixes
 COURSE_SIGMA = 0.2
-#: rad, sigma beyond which a heading is sought anew: the equations are linear in its error, to about 30 deg
+#: rad, standard deviation above which a new heading is looked for: the filter is linear in the heading error up to
+#: about 30 deg
 LARGEST_YAW_SIGMA = 0.5
 
 
 @njit(_nrt=False)
 def note(mem, r, at):
-    """Add the fix at `at`, which has been judged, to the sums over fixes refused in a row that agree.
+    """Add the fix at `at`, if it was refused, to the line of the fixes refused in a row; else clear the line.
 
-    Where those before it do not agree, the row begins with this fix: a receiver that was wrong is right again.
+    If the earlier ones do not agree with each other, the row begins with this fix.
     """
     time = mem[at + Event.TIME]
     if mem[at + Event.VERDICT] != Verdict.REFUSED or _may_start(mem, r) and not _agree_as_claimed(mem, r):
@@ -68,31 +70,31 @@ def note(mem, r, at):
 
 @njit(_nrt=False)
 def _may_start(mem, r):
-    """Whether so many fixes have been refused in a row, and for so long, the latest with the state at r, that they are
-    no outliers where they agree."""
+    """Whether enough fixes have been refused in a row, and for long enough, the latest with the state at r: if they
+    agree, they are not outliers."""
     return (mem[r + Nav.REFUSED] >= FEWEST_ON_LINE
             and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED + Line.SINCE] >= DIVERGED_AFTER)
 
 
 @njit(_nrt=False)
 def _agree_as_claimed(mem, r):
-    """Whether the refused innovations lie on a line, for fixes that claim what the latest one does."""
+    """Whether the refused fixes agree with each other, with the variance that the latest one claims."""
     return _agree(mem, r, 2.0 * mem[r + Receiver.CLAIMED])
 
 
 @njit(_nrt=False)
 def are_refused(mem, r):
-    """Whether several fixes have been refused in a row, the latest with the state at r, and agree so well that they are
-    no outliers; not where the filter is certainly wrong."""
+    """Whether fixes refused in a row, the latest with the state at r, agree and thus are not outliers. False if the
+    filter has diverged from them, which then starts anew by itself."""
     return (_may_start(mem, r) and mem[r + Hypothesis.FIXES_WRONG] == 0.0 and _agree_as_claimed(mem, r)
             and not _diverged(mem, r, mem[r + Nav.FIX_TIME]))
 
 
 @njit(_nrt=False)
 def is_due(mem, r, at):
-    """Whether the state at r starts anew from the fix at `at`: `bank.py` has decided so, or those refused before it
-    were right. They have come for long enough, and their innovations lie on a line, as the error of a position and a
-    velocity would."""
+    """Whether the state at r starts anew from the fix at `at`: by a decision of `bank.py`, or because the fixes refused
+    before it are right. These have come for long enough and agree with each other: their innovations are near a line,
+    like errors of position and velocity."""
     if mem[r + Hypothesis.START_DUE] != 0.0:
         return True
     lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED + Line.SINCE]
@@ -105,7 +107,7 @@ def is_due(mem, r, at):
 
 @njit(_nrt=False)
 def _agree(mem, r, claimed):
-    """Whether the refused innovations lie on a line; claimed: variance of a fix, both components, m^2."""
+    """Whether the refused innovations are near their line. claimed: variance of a fix, sum of both components, m^2."""
     _, _, spread, _ = fit_line(mem, r + Nav.REFUSED)
     size = math.sqrt(mem[r + Nav.REFUSED + Line.SQUARE] / mem[r + Nav.REFUSED])
     sigma = math.sqrt(excess_scatter(mem, r) * claimed)
@@ -114,11 +116,12 @@ def _agree(mem, r, claimed):
 
 @njit(_nrt=False)
 def start_anew(mem, r, at):
-    """Take position and velocity from the refused fixes, the heading from the course, with P in the scratch to match.
+    """Take position and velocity from the refused fixes and the heading from the course, with P in the scratch to
+    match.
 
-    The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
+    The estimated sensor errors are kept with twice the standard deviation, as they may be wrong, too.
     """
-    # where it may as well be the fixes that are wrong, nothing is said against the IMU
+    # if `bank.py` has decided so, the fixes may be wrong instead, so the IMU is not taken for wrong
     due, mem[r + Hypothesis.START_DUE] = mem[r + Hypothesis.START_DUE], 0.0
     if due == hypotheses.START_WITHOUT_IMU:
         diverged = True
@@ -129,7 +132,7 @@ def start_anew(mem, r, at):
     if diverged:
         mem[r + Nav.DIVERGENCE_TIME] = mem[at + Event.TIME]
     mem[r + Drift.TIME] = mem[r + Receiver.FIRST] = 0.0
-    # the innovations until now were those of a state that was wrong
+    # earlier innovations were those of a wrong state
     reset_scale(mem, r + Receiver.INNOVATION_SCALE)
     for i in range(3):
         mem[r + Nav.LONG_PASSED + i] = mem[r + Receiver.SHORT_PASSED + i] = 0.0
@@ -167,27 +170,27 @@ def start_anew(mem, r, at):
 
 @njit(_nrt=False)
 def _since_last_fix(mem, r, at):
-    """Way from the last fix to that at `at`, north and east, m."""
+    """Displacement from the last fix to that at `at`, north and east, m."""
     return ((mem[at + Event.LATITUDE] - mem[r + Nav.FIX_LATITUDE]) / mem[r + Nav.NORTH_SCALE],
             (mem[at + Event.LONGITUDE] - mem[r + Nav.FIX_LONGITUDE]) / mem[r + Nav.EAST_SCALE])
 
 
 @njit(_nrt=False)
 def _fix_variance(mem, r, at):
-    """Variance of the fix at `at`, both components, m^2: as fixes have been seen to scatter, or as the refused ones
-    scatter about their line, where that is more."""
+    """Variance of the fix at `at`, sum of both components, m^2: the larger of the learned one and that of the refused
+    fixes about their line."""
     variance = excess_scatter(mem, r) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     if mem[r + Nav.REFUSED] == 0.0:
         return variance
     _, _, spread, _ = fit_line(mem, r + Nav.REFUSED)
-    # each component's line has two numbers that are fitted to them
+    # the line of each component has two fitted parameters
     return max(variance, spread * mem[r + Nav.REFUSED] / max(mem[r + Nav.REFUSED] - 2.0, 1.0))
 
 
 @njit(_nrt=False)
 def _velocity_of_fixes(mem, r, at, diverged):
-    """Velocity (north, east) that the refused fixes show, and its variance: by how they drift from the filter, whose
-    own may be of no use where it has diverged, or by the last two of them."""
+    """Velocity (north, east) by the refused fixes, and its variance. From the last two fixes if the filter has
+    diverged, as its own velocity may be far off, else from the slope of the line."""
     slope_n, slope_e, _, variance = fit_line(mem, r + Nav.REFUSED)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
     if not diverged or not 0.0 < interval < LONGEST_PAIR:
@@ -199,14 +202,14 @@ def _velocity_of_fixes(mem, r, at, diverged):
 
 @njit(_nrt=False)
 def _diverged(mem, r, time):
-    """Whether it was the filter that diverged from the fixes refused until `time`, s: from those of a receiver that
-    jumps it stays as far as at first."""
+    """Whether the filter has diverged from the fixes refused until `time`, s: its distance from them grows, while that
+    from the fixes of a receiver that has jumped stays constant."""
     slope_n, slope_e, _, variance = fit_line(mem, r + Nav.REFUSED)
     slope, free = math.hypot(slope_n, slope_e), max(mem[r + Nav.REFUSED] - 2.0, 1.0)
     if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
-        return False  # who hardly moves cannot diverge
+        return False  # a filter that hardly moves does not diverge
     size = math.sqrt(mem[r + Nav.REFUSED + Line.SQUARE] / mem[r + Nav.REFUSED])
-    # probability of such a slope of fixes that only scatter: F distribution with 2 and 2 (n - 2) degrees of freedom
+    # probability that fixes that only scatter have such a slope: F distribution with 2 and 2 (n - 2) degrees of freedom
     chance = (1.0 + 0.5 * slope * slope / (free * max(variance, 1e-9))) ** -free
     return (slope > DIVERGED_SLOPE and chance < SIGNIFICANCE
             and slope * (time - mem[r + Nav.REFUSED + Line.SINCE]) > DIVERGED_SHARE * size)
@@ -214,7 +217,7 @@ def _diverged(mem, r, time):
 
 @njit(_nrt=False)
 def take_course(mem, r, v_n, v_e, drift):
-    """Heading from the course of a velocity, with its variance in P of the scratch; unknown if it is too slow.
+    """Set the heading to the course of a velocity, with its variance in P of the scratch; unknown if that is too slow.
 
     drift: variance of the velocity, m^2/s^2.
     """
@@ -227,7 +230,7 @@ def take_course(mem, r, v_n, v_e, drift):
         return
     yaw, variance = math.atan2(v_e, v_n), COURSE_SIGMA**2 + drift / (v_n**2 + v_e**2)
     mounting = int(mem[Head.MOUNTING_YAW])
-    if mounting >= 0:  # the vehicle goes along its own axis, the body is turned by that
+    if mounting >= 0:  # the course is that of the vehicle's axis, from which the body's differs by the mounting
         yaw -= mem[r + NAV + mounting]
         variance += mem[p + (n + 1) * mounting]
     mem[p + (n + 1) * k] = variance
@@ -236,7 +239,8 @@ def take_course(mem, r, v_n, v_e, drift):
 
 @njit(_nrt=False)
 def course_velocity(mem, r, at):
-    """Whether the heading is unknown and the way since the last fix tells it: the velocity then, else zeros."""
+    """Velocity between the last fix and that at `at` if the heading is unknown and this velocity gives it, else zeros.
+    """
     (n, p), k = scratch_of(mem), yaw_state(mem)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
     if (mem[Head.GATE] == 0.0 or mem[p + (n + 1) * k] < LARGEST_YAW_SIGMA**2 or mem[r + Nav.FIX_TIME] == 0.0

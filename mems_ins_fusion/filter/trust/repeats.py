@@ -1,10 +1,12 @@
-"""Whether an input repeats itself: a sensor or a driver that has stopped and goes on sending its last value.
+"""Detection of an input that repeats its last value because the sensor or its driver has stopped.
 
-A receiver that moves never says the same position or velocity twice, and an input whose messages have all differed
-does not repeat one several times. A speed in whole kilometres an hour may stay as it is for a minute, but not while the
-inertial sensors see more of a change than their errors explain: what the state has gained of it between the messages
-since it has that value, in the last seconds. What is too slow for them to see makes a speed that does not change less
-known by the second. A heading in whole degrees that stays as it is is refused by what the gyroscopes have seen since.
+* A receiver that moves never sends the same position or velocity twice.
+* An input whose messages have always differed does not send the same value several times.
+* A speed that is rounded, for example to whole km/h, may stay the same for a minute. But it is wrong if the inertial
+  sensors show a larger change than their errors explain; the change is summed over the last seconds.
+* Changes too slow for the inertial sensors: the variance of a speed that stays the same grows with time.
+
+A rounded heading needs no test: it is refused as soon as the gyroscopes show a turn.
 """
 from __future__ import annotations
 
@@ -20,27 +22,30 @@ from .standstill import moves
 #: of a state
 Repeats = ROW.place(
     'Repeats',
-    STUCK=1)  # 1: the main receiver has repeated its position while the vehicle moved, and has done so ever since
-#: m/s, change of a speed that rounding leaves unsaid: some steps of the coarsest there are
+    STUCK=1)  # 1: the main receiver has sent the same position since a time when the vehicle moved
+#: m/s, change that a rounded speed may hide: a few steps of the coarsest ones
 ROUNDED_SPEED = 1.0
-#: m/s^2, by which the inertial sensors may be wrong: a tilt of two degrees
-UNSEEN_ACCELERATION = 0.3
-#: s over which that is added up: shorter than a car takes to gain what rounding hides, or errors would pass for it
-FORGETTING_TIME = 5.0
-#: messages in a row, each unlike the one before it, while the vehicle moved: after as many an input counts as one that
-#: does not repeat itself. One that rounds to a tenth of its noise repeats each tenth
+#: m/s^2, error of the acceleration by the inertial sensors: a tilt of two degrees
+TILT_ACCELERATION = 0.3
+#: s, time constant with which changes are summed. Longer, and errors of the inertial sensors would exceed ROUNDED_SPEED
+CHANGE_MEMORY = 5.0
+#: number of successive messages that differ from the one before, while the vehicle moves, after which an input counts
+#: as one that does not repeat values. An input rounded to a tenth of its noise repeats a value every tenth message
 LIVELY = 100.0
-#: messages in a row that such an input repeats before it has stopped: two or three come twice on a busy bus
-FEWEST_EQUAL = 4.0
-#: stands for more than is explained
+#: number of repetitions in a row after which such an input has stopped: on a busy bus a message may come two or three
+#: times
+FEWEST_REPEATED = 4.0
+#: mark for a change larger than explained by rounding and inertial errors
 UNEXPLAINED = 1e6
-#: s for which a speed in steps may stay as it is, and m/s^2, by which it is less known from then on
-LONGEST_STEADY, AGEING = 2.0, 0.1
+#: s for which a rounded speed may stay the same without a larger variance. Chosen, not measured
+LONGEST_STEADY = 2.0
+#: m/s^2, growth of its standard deviation after that: a car that coasts. Chosen, not measured
+AGEING = 0.1
 
 
 @njit(_nrt=False)
 def is_stuck(mem, r, at):
-    """Whether the event at `at`, of any input, repeats the one before although the state at r has changed."""
+    """Whether the event at `at`, of any input, repeats the previous one although the state at r has changed."""
     if mem[Head.GATE] == 0.0:
         return False
     kind = int(mem[at + Event.KIND])
@@ -63,19 +68,20 @@ def is_stuck(mem, r, at):
     if not same:
         mem[own + Seen.SINCE], mem[own + Seen.GAINED] = mem[at + Event.TIME], 0.0
         return False
-    if moving and (kind == Kind.PLACE or kind == Kind.VELOCITY) or mem[own + Seen.DIFFERENT] >= LIVELY + FEWEST_EQUAL:
+    never_repeats = kind == Kind.PLACE or kind == Kind.VELOCITY
+    if moving and never_repeats or mem[own + Seen.DIFFERENT] >= LIVELY + FEWEST_REPEATED:
         mem[own + Seen.GAINED] = UNEXPLAINED
-    if is_of_velocity(kind) and mem[own + Seen.GAINED] != UNEXPLAINED:  # until it says something else
-        gained = _told(mem, r, kind) - mem[own + Seen.LEFT]
-        mem[own + Seen.GAINED] = mem[own + Seen.GAINED] * math.exp(-max(since, 0.0) / FORGETTING_TIME) + gained
-        if abs(mem[own + Seen.GAINED]) > ROUNDED_SPEED + UNSEEN_ACCELERATION * FORGETTING_TIME:
+    if is_of_velocity(kind) and mem[own + Seen.GAINED] != UNEXPLAINED:  # the mark stays until the value changes
+        gained = _predicted(mem, r, kind) - mem[own + Seen.LEFT]
+        mem[own + Seen.GAINED] = mem[own + Seen.GAINED] * math.exp(-max(since, 0.0) / CHANGE_MEMORY) + gained
+        if abs(mem[own + Seen.GAINED]) > ROUNDED_SPEED + TILT_ACCELERATION * CHANGE_MEMORY:
             mem[own + Seen.GAINED] = UNEXPLAINED
     return mem[own + Seen.GAINED] == UNEXPLAINED
 
 
 @njit(_nrt=False)
 def _count(mem, own, same):
-    """Count the messages in a row that are other ones, up to LIVELY, and after as many those that are the same."""
+    """Count the messages in a row that differ from the previous one, up to LIVELY; then those that are the same."""
     count = mem[own + Seen.DIFFERENT]
     if same:
         mem[own + Seen.DIFFERENT] = count + 1.0 if count >= LIVELY else 0.0
@@ -85,8 +91,8 @@ def _count(mem, own, same):
 
 @njit(_nrt=False)
 def unknown(mem, own, time):
-    """Variance, m^2/s^2, of a speed or an odometry that has not changed at all for so long: it may be that of then. One
-    of zero is usual: vehicles stand."""
+    """Variance, m^2/s^2, to be added to that of a speed or odometry at `time`, s, because it has not changed for long.
+    None for a speed of zero, as vehicles stand."""
     if mem[own + Seen.LATEST] == 0.0:
         return 0.0
     return (AGEING * max(time - mem[own + Seen.SINCE] - LONGEST_STEADY, 0.0)) ** 2
@@ -94,10 +100,10 @@ def unknown(mem, own, time):
 
 @njit(_nrt=False)
 def note(mem, r, at):
-    """Remember what the state at r says of what the event at `at` measures, after its correction."""
+    """Keep the value of the quantity that the event at `at` measures, by the corrected state at r."""
     kind = int(mem[at + Event.KIND])
     if is_of_velocity(kind) or is_of_heading(kind):
-        mem[seen_of(mem, r, at) + Seen.LEFT] = _told(mem, r, kind)
+        mem[seen_of(mem, r, at) + Seen.LEFT] = _predicted(mem, r, kind)
 
 
 @njit(_nrt=False)
@@ -106,8 +112,8 @@ def _repeats(mem, at, latest):
 
 
 @njit(_nrt=False)
-def _told(mem, r, kind):
-    """What the state says of a heading, rad, or a speed, m/s."""
+def _predicted(mem, r, kind):
+    """Heading, rad, or forward speed, m/s, of the state at r."""
     c = body_to_level(mem, r)
     if is_of_heading(kind):
         return math.atan2(c[3], c[0])

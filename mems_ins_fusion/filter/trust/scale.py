@@ -1,28 +1,27 @@
-"""By how much a variance is larger or smaller than assumed: the one estimate of that, for every input of the filter.
+"""Scales: the ratio of the realised to the assumed variance of an input, learned from squared deviations.
 
-What is estimated is the logarithm of (realised over assumed variance), as an error of a factor of ten is as likely too
-small as too large. A squared deviation is expected to be `scale part + rest`: `part` is the variance in question,
-`rest` what else is in it, such as the way that the inertial sensors did not see. Before anything is seen the prior is
-what receivers and data sheets claim: a normal distribution of the logarithm, as is what is known later. There are two
-ways to learn:
+This is the only estimator of such a ratio in the filter. Its state is the logarithm of the ratio, as assumed variances
+are as likely too small as too large by a given factor. A squared deviation has the expectation `scale part + rest`:
+`part` is the assumed variance, `rest` the sum of other variances, such as that of the motion between two fixes. The
+distribution of the logarithm is normal; the prior is that of the sigmas that receivers and data sheets claim. There are
+two ways to learn:
 
-* `learn_changes`, from deviations that have little in common. Their likelihood is that of a chi-square variable, but
-  for outliers (OUTLIER_DENSITY), which may be of any size and say nothing; mean and variance of the product of prior
-  and likelihood are integrated over NODES (assumed density filtering, P. S. Maybeck, *Stochastic Models, Estimation,
-  and Control* 2, 1982, 12.7). A scale stays as it is, until it becomes another one: a receiver among houses, a mount
-  that comes loose. So there are two hypotheses, each with an estimate: the scale is as it was, or it has become another
-  one, of any size (CHANGED_PRIOR), some time ago or since the latest deviation; these two cases are joined after the
-  deviation, whose likelihood tells between them. The more probable one is used. One deviation far off is an outlier,
-  several in a row are another scale. (R. P. Adams and D. J. C. MacKay, "Bayesian online changepoint detection", 2007,
-  has as many hypotheses as there are instants.)
-* `learn`, from means that have much in common, each of which tells a little: a Kalman filter with one state for the
-  logarithm, which forgets (M. S. Bartlett and D. G. Kendall, "The statistical analysis of variance-heterogeneity and
-  the logarithmic transformation", Supplement to J. Royal Statistical Society 8, 1946). A deviation of any size counts
-  as a few sigma of it. One that is too large for chance is more of `part`: `rest` has its bounds.
+* `learn_changes`, for independent deviations. The likelihood is that of a chi-square variable plus a constant for
+  outliers (OUTLIER_DENSITY). Mean and variance of the product of prior and likelihood are integrated over NODES
+  (assumed density filtering, P. S. Maybeck, *Stochastic Models, Estimation, and Control* 2, 1982, 12.7). A scale may
+  change at any time: a receiver comes between houses, a mount comes loose. So there are two hypotheses, each with its
+  own estimate: the scale is unchanged, or it has changed to any value (CHANGED_PRIOR). The second one is a mixture of a
+  change before the previous deviation and one after it, which is merged to one normal distribution after each
+  deviation. The more probable hypothesis is used: one large deviation is an outlier, several in a row are a change.
+  (R. P. Adams and D. J. C. MacKay, "Bayesian online changepoint detection", 2007, keep a hypothesis for each instant.)
+* `learn`, for mean squares that are correlated with each other: a Kalman filter with one state for the logarithm and a
+  random walk (M. S. Bartlett and D. G. Kendall, "The statistical analysis of variance-heterogeneity and the logarithmic
+  transformation", Supplement to J. Royal Statistical Society 8, 1946). Large innovations are bounded. A deviation that
+  is too large for chance is attributed to `part`, as `rest` is known.
 
-(R. K. Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17, 1972; S. Sarkka and A. Nummenmaa,
-"Recursive noise adaptive Kalman filtering by variational Bayesian approximations", the same 54, 2009, has an inverse
-gamma distribution for the same.)
+See also R. K. Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17, 1972, and, with an inverse
+gamma distribution, S. Sarkka and A. Nummenmaa, "Recursive noise adaptive Kalman filtering by variational Bayesian
+approximations", the same 54, 2009.
 """
 from __future__ import annotations
 
@@ -35,100 +34,109 @@ from ..memory import HEAD, INPUT_SIZE, Event, Head
 
 
 class _Scale(NamedTuple):
-    """Columns of one scale: mean of the logarithm, and how much of PRIOR its variance has lost. Zeros: the prior."""
+    """Columns of one scale. All zero: the prior."""
 
-    LOG: int = 0
-    REDUCED: int = 1
+    LOG: int = 0  # mean of the logarithm
+    REDUCED: int = 1  # PRIOR minus its variance
     TIME: int = 2  # s, of the latest deviation
-    SIZE: int = 3  # of one that `learn` follows
-    OTHER_LOG: int = 3  # of one that `learn_changes` follows, mean and variance if it has become another one lately,
-    OTHER_REDUCED: int = 4
-    CHANGED: int = 5  # and the probability of that
-    CHANGING_SIZE: int = 6  # size of that
+    SIZE: int = 3  # number of columns of a scale for `learn`
+    OTHER_LOG: int = 3  # `learn_changes`: mean if the scale has changed,
+    OTHER_REDUCED: int = 4  # PRIOR minus the variance in this case,
+    CHANGED: int = 5  # and the probability of a change
+    CHANGING_SIZE: int = 6  # number of columns of a scale for `learn_changes`
 
 
 Scale = _Scale()
 
 
 class _Seen(NamedTuple):
-    """Columns of what is seen of one input besides the fixes."""
+    """Statistics of one input (all but the fixes): columns at the end of a state's row."""
 
-    SCALE: int = 0  # a `Scale` that changes
-    DISPLACEMENT: int = 6  # m, north and east, by its speeds since the fix START, see trust/displacement.py,
-    DISPLACEMENT_TIME: int = 8  # s, till when; 0: it is no speed
-    START: int = 9  # time, s, latitude and longitude, rad, of that fix; time 0: none
-    LAST: int = 12  # velocity north and east at its end, m/s
-    VARIANCE: int = 14  # of that displacement, m^2
-    DISTANCE: int = 15  # m, north and east, from the antenna to the integral, estimated less measured at START,
-    DISTANCE_VARIANCE: int = 17  # the variance of that estimate, m^2,
-    COVARIANCE: int = 18  # and its covariance with the share, m
-    SHARE: int = 20  # by which its displacements are longer than those of the fixes, and turned,
-    REDUCED: int = 22  # and how much of `displacement.PRIOR` its variance has lost,
-    COMPARED: int = 23  # time, s, since which enough of it has been known; 0: never, -1: no more, and it was wrong
-    REJECTED: int = 24  # fixes in a row beyond its gate
-    FITTED: int = 25  # time, s, of the latest one that fitted; negative: of the latest that fixes contradict
-    LATEST: int = 26  # two values of the latest message, see trust/repeats.py,
-    LATEST_TIME: int = 28  # time of it, s,
-    GAINED: int = 29  # by how much the state has changed since it says that, between messages, m/s or rad,
-    LEFT: int = 30  # and what it was after the latest,
-    SINCE: int = 31  # time, s, since which it says that
-    DIFFERENT: int = 32  # messages in a row that were other ones, see trust/repeats.py
-    JUMP_SCORE: int = 33  # 1/s: error of its time offset by the latest innovations, over the variance of that error,
-    JUMP_INFORMATION: int = 34  # 1/s^2: the inverse of that variance,
-    FOLLOWED: int = 35  # and by what the state follows, in each component, for each s: see trust/clock_jump.py
-    TRAVELLED: int = 37  # m, north and east, by which the filter has gone since START
-    BEGAN: int = 39  # velocity north and east at START, m/s,
-    LATE: int = 41  # and the variance of the displacement by the error of its time offset, m^2
-    UNFOLLOWED: int = 42  # by how much its low pass is behind, m/s or rad, and the time, s: measurements/low_pass.py
-    UNFOLLOWED_TURN: int = 44  # the same of its turn rate, rad/s,
-    TURN: int = 46  # and that of the gyroscopes at its latest message, rad/s
-    ABOVE: int = 47  # times, s, of the latest that were far above and far below what was expected, see trust/inputs.py
-    BELOW: int = 48
+    SCALE: int = 0  # `Scale` of its noise, for `learn_changes`
+    # displacement.py
+    DISPLACEMENT: int = 6  # m, north and east, integral of its velocity since the fix START,
+    DISPLACEMENT_TIME: int = 8  # s, end of the integral; 0: nothing was integrated
+    START: int = 9  # time (s; 0: none), latitude and longitude (rad) of that fix
+    LAST: int = 12  # m/s, latest velocity, north and east
+    VARIANCE: int = 14  # m^2, of the displacement
+    DISTANCE: int = 15  # m, north and east, from the antenna to the integral: estimate minus measurement at START,
+    DISTANCE_VARIANCE: int = 17  # m^2, variance of the estimate,
+    COVARIANCE: int = 18  # m, and its covariance with the share
+    SHARE: int = 20  # by which its displacements are longer than those of the antenna, and to the side,
+    REDUCED: int = 22  # and `displacement.SHARE_PRIOR` minus its variance
+    COMPARED: int = 23  # s, time at which the comparison was complete; 0: not yet; -1: begun anew after it was wrong
+    REJECTED: int = 24  # number of fixes in a row that were not compared
+    FITTED: int = 25  # s, time of its latest value that fitted; negative: at which fixes contradicted it
+    # repeats.py
+    LATEST: int = 26  # two values of the latest message,
+    LATEST_TIME: int = 28  # s, and its time
+    GAINED: int = 29  # m/s or rad, change of the state since its value is the same,
+    LEFT: int = 30  # m/s or rad, value of the state after the latest message,
+    SINCE: int = 31  # s, time since which its value is the same
+    DIFFERENT: int = 32  # number of messages in a row that differ from the previous one
+    # clock_jump.py
+    JUMP_SCORE: int = 33  # 1/s, estimated jump of its time offset over the variance of the estimate,
+    JUMP_INFORMATION: int = 34  # 1/s^2, the inverse of this variance,
+    FOLLOWED: int = 35  # part of the signature that the state has followed, two components
+    # displacement.py
+    TRAVELLED: int = 37  # m, north and east, displacement of the filter since START
+    BEGAN: int = 39  # m/s, velocity of the input at START, north and east,
+    LATE: int = 41  # m^2, variance of the displacement by the error of its time offset
+    # measurements/low_pass.py
+    UNFOLLOWED: int = 42  # m/s or rad, lag of its low pass, and the time of that, s
+    UNFOLLOWED_TURN: int = 44  # rad/s, the same of its turn rate, and the time of that, s
+    TURN: int = 46  # rad/s, turn rate of the gyroscopes at its latest message
+    # inputs.py
+    ABOVE: int = 47  # s, time of its latest value far above the expected one,
+    BELOW: int = 48  # s, and of the latest one far below it
     SIZE: int = 49
 
 
 Seen = _Seen()
 assert Seen.SIZE == INPUT_SIZE
-Inputs = HEAD.place('Inputs', COUNT=1)  # how many inputs there are but the fixes
-#: variance of the logarithm before anything is seen: a claimed sigma is off by a factor of three, one sigma
+Inputs = HEAD.place('Inputs', COUNT=1)  # number of inputs without the fixes
+#: prior variance of the logarithm: a claimed sigma is wrong by a factor of three (one standard deviation)
 PRIOR = 4.8
-#: the same of a scale that has become another one: without its base a receiver may scatter a thousand times as far as
-#: it claims. With 9, fixes that claim 0.1 m and scattered by 15 m stayed outliers, and the filter was 37 m off
+#: the same after a change: a receiver that loses its base may scatter by a thousand times its claim. With 9, fixes that
+#: claim 0.1 m and scatter by 15 m remain outliers, and the filter gets 37 m off
 CHANGED_PRIOR = 16.0
-#: 1/s: a scale becomes another one once in twenty minutes: what a drive through a city brings
+#: 1/s, rate of changes: one in twenty minutes, as in a drive through a city. Chosen, not measured
 CHANGE_RATE = 1.0 / 1200.0
-#: 1/s, by which the variance of one that `learn` follows grows: by a factor of e within ten minutes
+#: 1/s, growth of the variance in `learn`: by 1, which is a factor of e, in ten minutes. Chosen, not measured
 LOG_WALK = 1.0 / 600.0
-#: mean and variance of the logarithm of a mean square of normal numbers with expectation 1, of one and of two
+#: mean of the logarithm of the mean square of one, and of two, standard normal numbers
 LOG_MEAN = (-1.2704, -0.5772)
+#: and its variance
 LOG_VARIANCE = (4.9348, 1.6449)
-#: a deviation beyond so many sigma of the logarithm counts as that
-LARGEST_INNOVATION = 2.0
-#: least multiple of the assumed variance that is used: a tenth of the sigma, as much as anybody claims too much
+#: upper limit of an innovation in standard deviations: a larger one counts as this. Chosen, not measured
+LARGEST_DEVIATION = 2.0
+#: smallest scale: a tenth of the claimed sigma, as claims are not more pessimistic than this
 SMALLEST_SCALE = 0.01
-#: and at most: a thousand times the sigma
+#: largest scale: a thousand times the claimed sigma
 LARGEST_SCALE = 1e6
-#: share of the measurements of a sensor without a fault that are outliers
+#: share of outliers among the measurements of a sensor without a fault. Chosen, not measured
 OUTLIER_SHARE = 0.01
-#: share of deviations that say nothing, OUTLIER_SHARE, over 14: they are spread evenly over the logarithm
-#: of their square, from metres to kilometres
+#: density of outliers over the logarithm of the squared deviation: uniform over a range of 14, from metres to
+#: kilometres
 OUTLIER_DENSITY = OUTLIER_SHARE / 14.0
-#: abscissas, in sigmas, and their weights, at which a normal distribution is integrated: the trapezoidal rule
+#: abscissas of the numerical integration over a normal distribution, in standard deviations
 NODES = tuple(0.5 * i for i in range(-7, 8))
+#: and their weights: trapezoidal rule
 WEIGHTS = tuple(0.5 / math.sqrt(2.0 * math.pi) * math.exp(-0.5 * node * node) for node in NODES)
 
 
 @njit(_nrt=False)
 def seen_of(mem, r, at):
-    """Position of what is seen (`Seen`) of the input that the event at `at` is from, in the state at r."""
+    """Position of the statistics (`Seen`) of the input of the event at `at`, in the state at r."""
     return r + int(mem[Head.WIDTH]) - Seen.SIZE * int(mem[at + Event.INPUT])
 
 
 @njit(_nrt=False)
 def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
-    """Learn from one mean at `time`, s, that has much in common with those before it; at: of the scale in `mem`.
+    """Learn from a mean square at `time`, s, that is correlated with the previous ones. at: position of the scale.
 
-    squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: of this one.
+    squared: mean square of one or two `dimensions`, with the expectation scale * part + rest. weight: number of
+    independent values that it counts as.
     """
     known = mem[at + Scale.REDUCED] - LOG_WALK * max(time - mem[at + Scale.TIME], 0.0)
     variance, mem[at + Scale.TIME] = PRIOR - max(known, 0.0), time
@@ -138,9 +146,9 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     noise = LOG_VARIANCE[dimensions - 1] / weight
     shown = max(squared, 1e-12 * expected) / math.exp(LOG_MEAN[dimensions - 1])
     innovation = math.log(shown / expected)
-    if innovation > LARGEST_INNOVATION * math.sqrt(LOG_VARIANCE[dimensions - 1]):  # no chance: up to what explains it
+    if innovation > LARGEST_DEVIATION * math.sqrt(LOG_VARIANCE[dimensions - 1]):  # slope to the scale that explains it
         share = innovation / (math.log((shown - rest) / part) - mem[at + Scale.LOG])
-    largest = LARGEST_INNOVATION * math.sqrt(share * share * variance + LOG_VARIANCE[dimensions - 1])
+    largest = LARGEST_DEVIATION * math.sqrt(share * share * variance + LOG_VARIANCE[dimensions - 1])
     gain = share * variance / (share * share * variance + noise)
     level = mem[at + Scale.LOG] + gain * max(-largest, min(innovation, largest))
     mem[at + Scale.LOG] = max(math.log(SMALLEST_SCALE), min(level, math.log(LARGEST_SCALE)))
@@ -149,11 +157,11 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
 
 @njit(_nrt=False)
 def learn_changes(mem, at, time, squared, part, rest, dimensions, weight=1.0):
-    """Learn from one deviation at `time`, s, of a scale that may become another one; at: of it in `mem`.
+    """Learn from a deviation at `time`, s, that is independent of the previous ones. at: position of the scale.
 
-    squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: exponent of its
-    likelihood, below 1 where several deviations have much in common. Returns whether the estimate before it allowed for
-    a deviation as large.
+    squared: mean square of one or two `dimensions`, with the expectation scale * part + rest. weight: exponent of the
+    likelihood, below 1 if several deviations are correlated. Returns whether the deviation was consistent with the
+    estimate before it.
     """
     lately = 0.0
     if mem[at + Scale.TIME] != 0.0:
@@ -184,8 +192,8 @@ def learn_changes(mem, at, time, squared, part, rest, dimensions, weight=1.0):
 
 @njit(_nrt=False)
 def _learned(level, variance, squared, part, rest, dimensions, weight):
-    """Mean and variance of the logarithm after a deviation, from those before it, and its likelihood, with outliers and
-    without."""
+    """Mean and variance of the logarithm after a deviation, from those before it, and the likelihood of the deviation
+    with and without outliers."""
     sigma = math.sqrt(max(variance, 0.0))
     shown = max(squared, 1e-12 * (part + rest))
     total = mean = square = allowed = 0.0
@@ -203,23 +211,24 @@ def _learned(level, variance, squared, part, rest, dimensions, weight):
 
 @njit(_nrt=False)
 def _times_square(ratio, dimensions):
-    """Density of a mean square of one or two normal numbers, times that square; ratio: the square over its expectation.
+    """Density of the logarithm of a mean square of one or two normal numbers. ratio: mean square over its expectation.
     """
     return math.sqrt(ratio / (2.0 * math.pi)) * math.exp(-0.5 * ratio) if dimensions == 1 else ratio * math.exp(-ratio)
 
 
 @njit(_nrt=False)
 def reset_scale(mem, at):
-    """Nothing is known of the scale at `at`, which `learn` follows, but the prior."""
+    """Reset the scale at `at`, for `learn`, to the prior."""
     mem[at + Scale.LOG] = mem[at + Scale.REDUCED] = 0.0
 
 
 @njit(_nrt=False)
 def reopen(mem, at, factor):
-    """The assumed variance of a scale that changes is `factor` times what it was.
+    """Take note that the assumed variance of the scale at `at`, for `learn_changes`, is now `factor` times the earlier
+    one.
 
-    The realised one stays as it is, or it is as assumed, where that is more, and may be any other: both hypotheses are
-    as probable. Of several calls the first one's is kept.
+    The two hypotheses, equally probable: the realised variance is unchanged, or it is the assumed one, if that is
+    larger, with the variance of the prior. In further calls the first of them is kept.
     """
     if mem[at + Scale.CHANGED] < 0.5:
         mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED] = mem[at + Scale.LOG], mem[at + Scale.REDUCED]
@@ -231,6 +240,7 @@ def reopen(mem, at, factor):
 
 @njit(_nrt=False)
 def scale(row, at):
-    """Realised over assumed variance: as seen where it is more, where it is less only as far as that is certain."""
+    """Realised over assumed variance: the estimate if it is above 1, else the estimate plus one standard deviation, at
+    most 1."""
     level, variance = row[at + Scale.LOG], max(PRIOR - row[at + Scale.REDUCED], 0.0)
     return math.exp(level if level > 0.0 else min(level + math.sqrt(variance), 0.0))

@@ -1,15 +1,15 @@
-"""Whether the vehicle certainly moves, as the state says, and whether it stands, as the accelerometers show it.
+"""Detection of standstills by the accelerometers, and of motion by the state.
 
-Of standstills this is the filter's one detector, and it learns from the vehicle.
+This is the only detector of standstills in the running filter, and it learns from the vehicle.
 
-The scatter of samples does not separate an idling engine from a smooth road. What does is what is left of the specific
-force below a hertz or so: no road is so even and no driver so steady that pitch, grade, bank and speed keep still, and
-an engine shakes faster. How much there is in motion and at rest is learned, as every vehicle and every mount has its
-own: the quietest motion while the filter is certain that the vehicle moves, and the level at rest well below it.
-studies/standstill.py compares this with fixed thresholds and counts false and missed seconds.
+The scatter of the samples does not separate an idling engine from a smooth road. The variation of the specific force
+below about 1 Hz does: in motion pitch, grade, bank and speed always change, and an engine shakes faster. Its level
+differs between vehicles and mounts, so two levels are learned: that of the quietest motion, while the state shows that
+the vehicle certainly moves, and the usual one at rest. studies/standstill.py compares this with fixed thresholds and
+counts false and missed seconds.
 
-A robot below MOVING_SPEED may be as quiet in motion as at rest, and turns on the spot. Where a speed of wheels or an
-odometry comes, it has the last word; and fixes that go straight on for metres contradict a standstill (`shown_speed`).
+A robot below MOVING_SPEED may be as quiet in motion as at rest. So a speed of wheels or an odometry overrides the
+detector (`wheels_turn`), and fixes that move straight on for metres contradict a standstill (`shown_speed`).
 """
 from __future__ import annotations
 
@@ -21,78 +21,78 @@ from ..memory import HEAD, ROW, Event, Kind, Nav, Sample, nonnegative, velocity_
 from .hypotheses import SHORTEST_CORRELATION
 from .line import FEWEST_ON_LINE, Line, add_to_line, begin_line, fit_line
 
-#: parts of the window below: it moves on by one of these at a time
+#: number of parts of the window STILL_WINDOW, which is moved on by one part at a time
 PARTS = 6
-#: what the detector remembers
+#: memory of the detector
 Still = HEAD.place(
     'Still',
-    FIRST=3,  # specific force low-passed once, m/s^2
-    SECOND=3,  # and twice
-    MEAN=3,  # running mean of that
-    PART=1,  # which part of the window the latest sample belongs to
-    SQUARES=PARTS + 1,  # (m/s^2)^2 s: integral over each part of the square of what is left,
-    DURATIONS=PARTS + 1,  # s: and how long each part is
-    CREPT=1,  # s: for how long the vehicle has been slow, but moved; negative: it has been fast, at some time
-    MOTION=1,  # logarithm of the least root mean square of it in motion
-    REST=1)  # and of what is usual at rest
+    FIRST=3,  # m/s^2, specific force after one low pass
+    SECOND=3,  # and after two
+    MEAN=3,  # its running mean
+    PART=1,  # number of the part of the window that the latest sample belongs to
+    SQUARES=PARTS + 1,  # (m/s^2)^2 s, integral of the squared deviation from the mean over each part,
+    DURATIONS=PARTS + 1,  # s, and the duration of each part
+    CREPT=1,  # s, for which the vehicle has moved slowly; negative: it has been faster than MOVING_SPEED at some time
+    MOTION=1,  # logarithm of the smallest RMS deviation in motion, m/s^2,
+    REST=1)  # and of the usual one at rest
 #: of a state
-WheelMotion = ROW.place('WheelMotion', TIME=1)  # s: time of the latest speed if that is significant, else 0
+WheelMotion = ROW.place('WheelMotion', TIME=1)  # s, time of the latest speed or odometry if it shows motion, else 0
 Standing = ROW.place(
     'Standing',
-    TIME=1,  # s, of the latest zero velocity,
-    LINE=Line.SIZE,  # of the fixes since it began, m from the first of them
-    FIRST=2,  # latitude and longitude of that, rad,
-    CONTRADICTED=1)  # and time, s, of the latest fix that showed that the vehicle moves; 0: none
+    TIME=1,  # s, of the latest zero-velocity update,
+    LINE=Line.SIZE,  # line through the fixes of the standstill, m from the first of them
+    FIRST=2,  # latitude and longitude of this one, rad,
+    CONTRADICTED=1)  # s, time of the latest fix that showed motion during a standstill; 0: none
 
-#: sigmas that it claims, beyond which a speed is certainly one of motion,
-SIGNIFICANT = 3.0
-#: m/s, and which it is in any case: some claim less than what they scatter at rest
+#: number of claimed standard deviations above which a speed shows motion
+MOTION_SIGMAS = 3.0
+#: m/s, smallest speed that shows motion: some inputs scatter at rest by more than they claim
 SLOWEST_SPEED = 0.1
-#: rad/s, and the same of the turn rate of an odometry
+#: rad/s, the same of the turn rate of an odometry
 SLOWEST_TURN = 0.02
-#: s after which such a speed says nothing any more
+#: s for which a speed, or a zero-velocity update, counts as the present one. Chosen, not measured
 LONGEST_VALID = 1.0
-#: sigmas of the velocity by which a certain speed is less than the estimated one: by chance a vehicle is slower than
-#: that once in forty times
+#: standard deviations of the velocity by which the certain speed is below the estimated one: a vehicle is slower than
+#: this by chance in one of forty cases
 CERTAIN_SIGMAS = 2.0
-#: m/s: a vehicle certainly moves where its certain speed is above this: a slower one may stand
+#: m/s: with a certain speed above this the vehicle moves; a slower one may stand
 MOVING_SPEED = 1.0
-#: m/s: how quiet the vehicle is in motion is learned where its speed, less SURE_SIGMAS, is above this. Half of
-#: MOVING_SPEED, as a car that creeps may be as quiet as others that stand: with all of it, a gap in the samples of such
-#: a car ended in a standstill
+#: m/s: the level of motion is learned if the speed minus SURE_SIGMAS is above this. Half of MOVING_SPEED, as a creeping
+#: car may be as quiet as others at rest; with 1 m/s, a gap in the samples of such a car leads to a false standstill
 LEARNING_SPEED = 0.5
-#: sigmas: fixes that are late leave a speed of two sigmas for seconds after a stop, which then passed for motion as
-#: quiet as rest for ten minutes
+#: standard deviations for that: with fixes that are late, the estimated speed is two sigma for seconds after a stop.
+#: With two, this rest is learned as motion, and stops are missed for ten minutes
 SURE_SIGMAS = 4.0
-#: s: a robot that has never been faster than MOVING_SPEED shows that where it has moved for so long, twice WINDOW
+#: s of slow motion after which the level of motion of a vehicle that has never been faster than MOVING_SPEED is
+#: learned: twice STILL_WINDOW
 CREEPING_TIME = 3.0
-#: m: a vehicle that stands, as its accelerometers show it, moves where fixes go straight on for so far, further than
-#: those of a receiver that finds or loses its base change
+#: m, smallest distance that fixes have to move to contradict a standstill: larger than the change of position when a
+#: receiver finds or loses its base
 SHORTEST_DISTANCE = 1.0
-#: sigmas of a fix, and for so far: errors by reflections wander by less at a standstill
+#: the same in standard deviations of a fix: multipath at a standstill wanders by less
 DISTANCE_SIGMAS = 7.0
-#: share of that distance by which they scatter about the line at most: fixes that jump scatter by a sixth of it
+#: largest scatter of these fixes about their line as a share of the distance: fixes that jump scatter by a sixth of it
 STRAIGHT_SHARE = 0.15
-#: s for which they are compared with one line: after that the vehicle may have turned
+#: s, longest duration of one line: after that the vehicle may have turned
 LONGEST_LINE = 60.0
-#: s for which a standstill that they contradict is none: time to learn how quiet the vehicle is in motion
+#: s for which standstills are not used after a contradiction: time to learn the level of motion
 MOTION_TIME = 60.0
-#: s: time constant of each of the two low passes; an engine shakes faster than what they leave
+#: s, time constant of each of the two low passes: shorter than the motion of a vehicle, longer than engine vibration
 LOW_PASS = 0.15
-#: s: time constant of the running mean that is taken out of it, tilt and bias; after a braking it decays with this
-MEAN_TIME = 0.3
-#: s: the mean square of the rest is one over a window of this length, without a tail: what a braking has left in an
-#: exponential mean hides a stop of four seconds. Between two gears a vehicle is as quiet for a second
-WINDOW = 1.5
-#: a standstill is quieter than the quietest motion by this factor, and may be louder than other standstills by the same
+#: s, time constant of the running mean that is subtracted (tilt and bias); the effect of a braking decays with it
+REMOVED_MEAN_TIME = 0.3
+#: s, window of the mean square. In an exponential mean, the effect of a braking hides a stop of four seconds. Shorter
+#: windows would take a change of gears, which is as quiet for a second, for a standstill
+STILL_WINDOW = 1.5
+#: factor by which a standstill is quieter than the quietest motion, and by which it may exceed the usual level at rest
 SEPARATION = 2.0
-#: s: time constant with which the quietest motion is forgotten; roads and loads change in minutes
-FORGETTING_TIME = 600.0
-#: s: the level at rest is a mean over this
+#: s, time constant with which the level of motion rises again: roads and loads change within minutes
+MOTION_MEMORY = 600.0
+#: s, time constant of the mean of the level at rest. Chosen, not measured
 REST_TIME = 5.0
-#: m/s^2: the quietest motion of a vehicle of which nothing is known yet; it is learned within a minute
+#: m/s^2, initial level of motion; that of the vehicle is learned within a minute
 EXPECTED_MOTION = 0.05
-#: m/s^2: and its level at rest
+#: m/s^2, initial level at rest
 EXPECTED_REST = 0.01
 
 
@@ -104,7 +104,7 @@ def velocity_sigma(mem, r):
 
 @njit(_nrt=False)
 def certain_speed(mem, r, sigma):
-    """The speed that the vehicle certainly has in the state at r, m/s: less CERTAIN_SIGMAS. sigma: of its velocity."""
+    """Lower limit of the speed in the state at r, m/s: the estimate minus CERTAIN_SIGMAS. sigma: of its velocity."""
     r = nonnegative(r)
     return max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) - CERTAIN_SIGMAS * sigma, 0.0)
 
@@ -117,38 +117,37 @@ def moves(mem, r):
 
 @njit(_nrt=False)
 def note_speed(mem, r, at):
-    """Remember what the speed or odometry at `at`, which is used, says of the motion of the state at r."""
-    moves = mem[at + Event.VALUE] ** 2 > max(SIGNIFICANT**2 * mem[at + Event.R_NN], SLOWEST_SPEED**2)
-    if mem[at + Event.KIND] == Kind.TWIST:  # false of a turn rate that is not measured, NaN
-        moves = moves or mem[at + Event.VALUE + 2] ** 2 > max(SIGNIFICANT**2 * mem[at + Event.R_DD], SLOWEST_TURN**2)
+    """Note whether the speed or odometry of the event at `at`, which is used, shows motion."""
+    moves = mem[at + Event.VALUE] ** 2 > max(MOTION_SIGMAS**2 * mem[at + Event.R_NN], SLOWEST_SPEED**2)
+    if mem[at + Event.KIND] == Kind.TWIST:  # false for NaN, a turn rate that is not measured
+        moves = moves or mem[at + Event.VALUE + 2] ** 2 > max(MOTION_SIGMAS**2 * mem[at + Event.R_DD], SLOWEST_TURN**2)
     mem[r + WheelMotion.TIME] = mem[at + Event.TIME] if moves else 0.0
 
 
 @njit(_nrt=False)
 def wheels_turn(mem, r):
-    """Whether a speed has said lately that the vehicle moves."""
+    """Whether the latest speed or odometry, if there is a recent one, shows motion."""
     return mem[r + WheelMotion.TIME] != 0.0 and mem[r + Nav.TIME] - mem[r + WheelMotion.TIME] < LONGEST_VALID
 
 
 @njit(_nrt=False)
 def fixes_show_motion(mem, r):
-    """Whether fixes have shown lately that the vehicle moves, although its accelerometers are as quiet as at rest."""
+    """Whether fixes have recently shown motion although the accelerometers were as quiet as at rest."""
     latest = mem[r + Standing.CONTRADICTED]
     return latest != 0.0 and mem[r + Nav.TIME] - latest < MOTION_TIME
 
 
 @njit(_nrt=False)
 def stands(mem, r):
-    """Whether a standstill has been applied lately to the state at r."""
+    """Whether a zero-velocity update has recently been applied to the state at r."""
     return mem[r + Nav.TIME] - mem[r + Standing.TIME] < LONGEST_VALID
 
 
 @njit(_nrt=False)
 def shown_speed(mem, r, at, variance):
-    """Speed, m/s, and distance, m, of the fixes since the begin of a standstill, the latest of them at `at`; zeros
-    where they do not contradict it.
+    """Speed, m/s, and distance, m, of the fixes since the begin of a standstill if they contradict it, else zeros.
 
-    variance: of a component of the fix, as fixes scatter, m^2.
+    at: position of the latest fix. variance: realised variance of one of its components, m^2.
     """
     line, time, standing = r + Standing.LINE, mem[at + Event.TIME], stands(mem, r)
     if not standing or time - mem[line + Line.SINCE] > LONGEST_LINE or mem[r + Nav.REFUSED] > 0.0:
@@ -167,7 +166,7 @@ def shown_speed(mem, r, at, variance):
     slope_n, slope_e, left, _ = fit_line(mem, line)
     speed = math.hypot(slope_n, slope_e)
     distance = speed * (time - mem[line + Line.SINCE])
-    # a vehicle that is faster has not come to such a speed without being seen to accelerate
+    # the accelerometers would have shown how a vehicle reached a higher speed
     if (distance < max(SHORTEST_DISTANCE, DISTANCE_SIGMAS * math.sqrt(variance)) or speed > MOVING_SPEED
             or math.sqrt(left) > STRAIGHT_SHARE * distance):
         return 0.0, 0.0
@@ -177,12 +176,12 @@ def shown_speed(mem, r, at, variance):
 
 @njit(_nrt=False)
 def is_still(mem, sample, dt, speed, sigma, anew):
-    """1 when the sample at `sample`, dt s after the one before, is one of a standstill; its state is in the head.
+    """1 if the sample at `sample`, dt s after the previous one, belongs to a standstill, else 0. Updates `Still`.
 
-    speed: that the vehicle certainly has (`certain_speed`), sigma: of the estimated one, m/s. anew: whether nothing is
-    known of the time before the sample, so that a change of its specific force since then says nothing.
+    speed: certain speed (`certain_speed`), m/s. sigma: of the velocity, m/s. anew: whether samples are missing before
+    this one, so that a change of the specific force means nothing.
     """
-    low, slow, square = min(1.0, dt / LOW_PASS), min(1.0, dt / MEAN_TIME), 0.0
+    low, slow, square = min(1.0, dt / LOW_PASS), min(1.0, dt / REMOVED_MEAN_TIME), 0.0
     first = mem[Still.MOTION] == 0.0
     for i in range(3):
         f = mem[sample + Sample.F_X + i]
@@ -196,7 +195,7 @@ def is_still(mem, sample, dt, speed, sigma, anew):
     if first:
         mem[Still.MOTION], mem[Still.REST] = math.log(EXPECTED_MOTION), math.log(EXPECTED_REST)
     mean, seen = _mean_square(mem, square, dt)
-    if seen < WINDOW:
+    if seen < STILL_WINDOW:
         return 0.0
     level, separation = 0.5 * math.log(max(mean, 1e-12)), math.log(SEPARATION)
     motion, rest = mem[Still.MOTION], mem[Still.REST]
@@ -206,8 +205,8 @@ def is_still(mem, sample, dt, speed, sigma, anew):
     else:
         mem[Still.CREPT] = mem[Still.CREPT] + dt if speed > SLOWEST_SPEED else 0.0
     if surely > LEARNING_SPEED or mem[Still.CREPT] > CREEPING_TIME:
-        # the least there is: down at once, though not by one sample alone, and up slowly
-        motion = min(motion + dt / FORGETTING_TIME, max(level, motion - 2.0 * dt))
+        # minimum: falls quickly, but not by a single sample, and rises slowly
+        motion = min(motion + dt / MOTION_MEMORY, max(level, motion - 2.0 * dt))
     elif level < motion - separation:
         rest += min(1.0, dt / REST_TIME) * (level - rest)
     mem[Still.MOTION], mem[Still.REST] = motion, rest
@@ -217,9 +216,9 @@ def is_still(mem, sample, dt, speed, sigma, anew):
 
 @njit(_nrt=False)
 def _mean_square(mem, square, dt):
-    """Mean of `square`, which belongs to the latest dt s, over the window, and how long that is already, s."""
+    """Mean of `square` over the window, of which this value covers the last dt s, and the time covered so far, s."""
     part = int(mem[Still.PART])
-    if mem[Still.DURATIONS + part] >= WINDOW / PARTS:
+    if mem[Still.DURATIONS + part] >= STILL_WINDOW / PARTS:
         part = (part + 1) % (PARTS + 1)
         mem[Still.PART] = part
         mem[Still.SQUARES + part] = mem[Still.DURATIONS + part] = 0.0

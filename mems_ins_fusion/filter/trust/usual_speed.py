@@ -1,9 +1,10 @@
-"""How fast the vehicle usually is, which bounds its velocity where no fix does.
+"""Usual speed of the vehicle, which limits the velocity error without fixes.
 
-The velocity of a vehicle is a stationary random process: R. A. Singer, "Estimating optimal tracking filter performance
-for manned maneuvering targets", IEEE Trans. Aerospace and Electronic Systems 6, 1970, has the same for accelerations.
-So without any measurement each component has mean zero and the variance that the drive has shown. Nothing of that is in
-the integral of an IMU: without fixes its error grows without bound, until a robot seems to be as fast as a car.
+The velocity of a vehicle is modelled as a stationary random process, as R. A. Singer, "Estimating optimal tracking
+filter performance for manned maneuvering targets", IEEE Trans. Aerospace and Electronic Systems 6, 1970, does for
+accelerations. Without any measurement each component has mean zero and a variance that is learned during the drive. An
+IMU alone does not know this: without fixes its velocity error grows without limit, until a robot seems to be as fast as
+a car.
 """
 from __future__ import annotations
 
@@ -12,16 +13,16 @@ from mems_ins_fusion.compiled import njit
 from ..memory import ROW, Nav, velocity_variance
 from .scale import Scale, learn, scale
 
-#: of a state: realised variance of the velocity over ASSUMED
+#: of a state: realised variance of the velocity over ASSUMED_VARIANCE
 UsualSpeed = ROW.place('UsualSpeed', SCALE=Scale.SIZE)
 
-#: m^2/s^2, variance of a component of the velocity before a fix has shown it: of a vehicle at 7 m/s, as many times
-#: faster than a robot at 1 m/s as a car at 50 m/s is faster than it
-ASSUMED = 5.0**2
-#: s, after which the velocity of a vehicle is another one: it turns, stops or speeds up. One velocity in that time is
-#: learned from, and without fixes the variance counts as one measurement in that time
+#: m^2/s^2, prior variance of a component of the velocity: of a vehicle at 7 m/s, the geometric mean of a robot at 1 m/s
+#: and a car at 50 m/s
+ASSUMED_VARIANCE = 5.0**2
+#: s, correlation time of the velocity: in this time a vehicle turns, stops or speeds up. One velocity in this time is
+#: learned from, and one zero velocity in this time is applied. Chosen, not measured
 CORRELATION = 20.0
-#: s without a fix after which it is applied: most receivers have one each second, and some each five
+#: s without a fix after which it is applied: longer than the interval of slow receivers
 SHORTEST_OUTAGE = 5.0
 
 
@@ -31,15 +32,14 @@ def learn_speed(mem, r, time):
     at = r + UsualSpeed.SCALE
     if mem[at + Scale.TIME] == 0.0 or time - mem[at + Scale.TIME] > CORRELATION:
         squared = 0.5 * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
-        learn(mem, at, time, squared, ASSUMED, 0.5 * velocity_variance(mem, r), 2)
+        learn(mem, at, time, squared, ASSUMED_VARIANCE, 0.5 * velocity_variance(mem, r), 2)
 
 
 @njit(_nrt=False)
 def bounds(mem, r):
-    """Whether the velocity of the state at r is less certain, without fixes, than that of any vehicle like this.
+    """Whether the usual speed is applied to the state at r: there are no fixes, and its velocity is less certain.
 
-    Where it is known better, the usual one would make it a little smaller all the time, and no surer; and before fixes
-    have shown any speed, nothing is usual.
+    A velocity that is known better would become smaller all the time without becoming more accurate.
     """
     return (mem[r + UsualSpeed.SCALE + Scale.TIME] != 0.0
             and mem[r + Nav.TIME] - mem[r + Nav.FIX_TIME] > SHORTEST_OUTAGE
@@ -48,11 +48,11 @@ def bounds(mem, r):
 
 @njit(_nrt=False)
 def variance(mem, r, since):
-    """Variance with which zero is applied as the velocity, m^2/s^2; since: s since the previous constraint."""
+    """Variance with which a velocity of zero is applied, m^2/s^2. since: s since the previous constraint."""
     return _usual(mem, r) * CORRELATION / since
 
 
 @njit(_nrt=False)
 def _usual(mem, r):
     """Variance of a component of the vehicle's velocity, m^2/s^2."""
-    return ASSUMED * scale(mem, r + UsualSpeed.SCALE)
+    return ASSUMED_VARIANCE * scale(mem, r + UsualSpeed.SCALE)

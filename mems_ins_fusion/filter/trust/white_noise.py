@@ -1,10 +1,10 @@
-"""The white noise that the samples of an IMU show themselves, where it is more than its parameters say.
+"""White noise of the IMU samples, measured from their high-order differences.
 
-A vehicle shakes its IMU faster than many sample: what is not filtered out before the samples are taken is folded
-down, as white noise, and is in the integrals of the samples what the sensor's own noise is, often ten times as large. A
-motion that the samples do show is smooth from one to the next. So a high difference of samples in a row is noise: that
-of order n has `binomial(2 n, n)` times the variance of one sample, and that times the sampling interval is the noise
-density squared.
+Vehicles vibrate at frequencies above half the sampling rate of many IMUs. Vibration that is not filtered out before
+sampling is aliased to white noise, which may be ten times that of the sensor and has the same effect on the integrals.
+The motion of the vehicle is smooth from one sample to the next, so the difference of order n of successive samples
+consists of noise. Its variance is `binomial(2 n, n)` times that of one sample, and the variance of a sample times the
+sampling interval is the noise density squared.
 """
 from __future__ import annotations
 
@@ -15,31 +15,38 @@ from mems_ins_fusion.compiled_lanes import four, put
 
 from ..memory import HEAD, SAMPLE, WHITE, Head, Sample, nonnegative, sample_at
 
-#: whether it is used; s in which the samples showed far more than is assumed
-White = HEAD.place('White', ADAPT=1, SHAKEN=1)
-#: beside a sample: noise density squared of each axis that the samples show lately, and of f_y over LONG_MEAN_TIME
-Shown = SAMPLE.place('Shown', WHITE=6, SIDEWAYS=1)
+White = HEAD.place(
+    'White',
+    ADAPT=1,  # whether the measured noise is used
+    SHAKEN=1)  # s for which the noise of a gyroscope was NOTEWORTHY
+#: of a sample
+Shown = SAMPLE.place(
+    'Shown',
+    WHITE=6,  # measured noise density squared of each axis, mean over MEAN_TIME,
+    SIDEWAYS=1)  # and that of f_y, mean over LONG_MEAN_TIME
 
-#: s over which the squared differences are averaged: the noise changes with the road and the engine
+#: s, time constant of the mean of the squared differences: the noise changes with the road and the engine
 MEAN_TIME = 3.0
-#: s over which that of the sideways accelerometer is averaged again: whether the vehicle shakes the IMU altogether
+#: s, time constant of the long-term mean of the noise of f_y. Chosen, not measured
 LONG_MEAN_TIME = 60.0
-#: s in which the velocity integrated from samples is compared with a constraint on it: where the noise moves it by
-#: more than the constraint's sigma in that, noise passes for turns, and the speed for what goes with turns
+#: s. If the noise of f_y changes the velocity within this time by more than the sigma of the lateral constraint, the
+#: constraint takes noise for turns (`hides_turns`)
 COMPARED_OVER = 1.0
-#: of the difference: a motion at a quarter of the sampling rate counts 2^n / binomial(2 n, n) of its variance
+#: order n of the difference: of a motion at a quarter of the sampling rate, 2^n / binomial(2 n, n) of the variance
+#: counts as noise
 ORDER = 6
-#: a gyroscope that shows so many times the noise density assumed is worth a word
+#: ratio of the measured to the configured noise density of a gyroscope above which it is reported. Chosen, not measured
 NOTEWORTHY = 5.0
-#: samples are evenly spaced where no interval is longer or shorter than the last by this factor
+#: largest ratio of two successive intervals of evenly spaced samples; others are not evaluated. Chosen, not measured
 EVEN_RATIO = 1.5
+#: weights of the samples in the difference, such that its variance is that of one sample
 _WEIGHTS = tuple((-1) ** j * math.comb(ORDER, j) / math.sqrt(math.comb(2 * ORDER, ORDER)) for j in range(ORDER + 1))
 
 
 @njit(_nrt=False)
 def show_noise(mem, k, dt):
-    """Noise density squared of each axis, beside sample k, dt s after the one before it; what is known of that, where
-    one of those that the difference needs is missing or not used."""
+    """Write the measured noise density squared of each axis to sample k, dt s after the previous one. The values of the
+    previous sample are kept if one of the samples for the difference is missing or faulty."""
     if mem[White.ADAPT] == 0.0:
         return
     at, last = nonnegative(sample_at(mem, k)), nonnegative(sample_at(mem, k - 1))
@@ -69,23 +76,21 @@ def show_noise(mem, k, dt):
 
 @njit(_nrt=False)
 def density(mem, sample, axis):
-    """Noise density squared of an axis at the sample at `sample`: as assumed, or as it shows itself."""
+    """Noise density squared of an axis at the sample at `sample`: the larger of the configured and the measured one."""
     return max(mem[WHITE + axis], mem[sample + Shown.WHITE + axis])
 
 
 @njit(_nrt=False)
 def hides_turns(mem, noise):
-    """Whether a noise density squared of the accelerometers, m^2/s^3, moves the velocity by more within COMPARED_OVER
-    than the sigma of the constraint on the velocity sideways."""
+    """Whether accelerometers with this noise density squared, m^2/s^3, change the velocity within COMPARED_OVER by more
+    than the sigma of the lateral constraint."""
     return COMPARED_OVER * noise > mem[Head.LATERAL_SIGMA] ** 2
 
 
 @njit(_nrt=False)
 def shown(mem, sample, first):
-    """Noise density squared used of a sensor over that assumed, of its noisiest axis at the sample at `sample`.
-
-    first: its first axis, 0 of the accelerometers, 3 of the gyroscopes.
-    """
+    """Ratio of the noise density squared that is used to the configured one, of the noisiest axis of a sensor, at the
+    sample at `sample`. first: first axis of the sensor, 0: accelerometers, 3: gyroscopes."""
     largest = 1.0
     for axis in range(first, first + 3):
         if mem[WHITE + axis] > 0.0:
