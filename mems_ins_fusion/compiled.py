@@ -1,11 +1,13 @@
-"""`njit` of numba, compiled once and kept for as long as no source of compiled code changes.
+"""`njit` of numba with a cache that is renewed when any source of compiled code changes.
 
-numba by itself looks only at the file a function stands in: after a change to a function that it calls from another
-file, it would go on with the old one. Here the folder of the compiled code is named after the contents of all of them.
-A folder that cannot be read or written costs time and nothing else. While numba compiles, the user is told, and signals
-wait for the end of a step of the compiler: inside of one, an exception can end in a traceback, or be lost.
+numba itself compares only the file of a function: after a change to a function that it calls in another file, it would
+use the old code. Here the folder of the compiled code is named by a digest of all these files. If the folder cannot be
+read or written, the code is compiled at each start.
 
-Where numba is one whose inside is known, it compiles in half the time: see compiled_parts.py.
+While numba compiles, the user gets a message, and signals are delayed until the end of a compiler pass: an exception
+within a pass could be lost, or end in a traceback.
+
+For versions of numba whose internals are known, compiled_parts.py halves the time of compilation.
 """
 from __future__ import annotations
 
@@ -27,11 +29,11 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLoca
 
 from .guard import one_line
 
-#: versions of numba whose inside `compiled_parts` has been tried with; any other compiles as numba does by itself
+#: oldest and newest version of numba with which `compiled_parts` was tested; it is not used with other versions
 _TRIED = (0, 59), (0, 68)
 _IS_TRIED = _TRIED[0] <= tuple(numba.version_info[:2]) <= _TRIED[1]
-# numba looks for `scipy.linalg` when it loads its array functions, for products within a few of them, which it can also
-# do without: that would be a quarter of the time until the filter is ready
+# numba imports `scipy.linalg` for matrix products in some array functions, which are not used here. The import would
+# take a quarter of the time until the filter is ready
 _unwanted = 'scipy.linalg.cython_blas'
 if _IS_TRIED and _unwanted not in sys.modules:
     sys.modules[_unwanted] = None
@@ -40,14 +42,15 @@ if _IS_TRIED and _unwanted not in sys.modules:
 if _IS_TRIED:
     from .compiled_parts import compile_in_parts
 
-#: while numba compiles: it makes many small objects that stay, through which Python else looks again and again
+#: thresholds of the garbage collector while numba compiles: it makes many objects that stay, which the collector would
+#: examine again and again
 _GARBAGE_THRESHOLDS = 100_000, 20, 20
-#: packages with compiled functions, and with what these use
+#: packages with compiled functions, or with code that these use
 _PACKAGES = ('navigation', 'filter', 'sensor_errors', 'characterization', 'effects')
 
 
 def sources() -> list[Path]:
-    """The files whose contents decide what compiled code is still good."""
+    """The files whose contents determine whether compiled code is valid."""
     package = Path(__file__).parent
     return [package / 'compiled_parts.py', package / 'compiled_lanes.py',
             *(source for folder in _PACKAGES for source in sorted((package / folder).rglob('*.py')))]
@@ -80,12 +83,12 @@ def njit(function=None, **options):
 
 
 def tell(say) -> None:
-    """`say(text)` is how the user hears from now on that, and how long, numba compiles; at first a line on stderr."""
+    """Use `say(text)` for messages about compilation; without it they go to stderr."""
     _compilation.say = say
 
 
 class _Locator(_CacheLocator):
-    """Where the compiled functions of one module stand: the same wherever the package is installed."""
+    """Location of the compiled functions of one module, independent of where the package is installed."""
 
     def __init__(self, function, file):
         self._folder = FOLDER / function.__module__
@@ -100,7 +103,7 @@ class _Locator(_CacheLocator):
         return str(self._folder)
 
     def get_source_stamp(self):
-        return None  # the folder has it in its name
+        return None  # the name of the folder contains the digest
 
     def get_disambiguator(self):
         return str(self._line)
@@ -114,7 +117,7 @@ class _Files(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """numba's cache of one function, without which all works, too, and which several processes may write at once."""
+    """numba's cache of one function. Errors only cost time, and several processes may write it at once."""
 
     _impl_class = _Files
 
@@ -125,7 +128,7 @@ class _Cache(FunctionCache):
             _compilation.say_once(f'the compiled code in {FOLDER} cannot be used ({_reason(error)})')
             self._forget()
             return None
-        # of another signature, where a process died between numba's two files
+        # it has another signature if a process ended between writing numba's two files
         return found if found is not None and tuple(found.signature.args) == tuple(sig) else None
 
     def _forget(self):
@@ -151,7 +154,7 @@ def _reason(error: Exception) -> str:
 
 @contextmanager
 def _locked(folder: Path):
-    """One process at a time: numba reads its index, takes the next free number in it and writes two files."""
+    """Lock for one process: numba reads its index, takes the next free number in it and writes two files."""
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / 'lock', 'w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -159,7 +162,7 @@ def _locked(folder: Path):
 
 
 class _WaitingSignals:
-    """SIGINT and SIGTERM wait within the block, which may be entered again, or until `deliver`."""
+    """Delays SIGINT and SIGTERM while the block, which is reentrant, runs, or until `deliver`."""
 
     def __init__(self):
         self._depth = 0
@@ -168,7 +171,7 @@ class _WaitingSignals:
 
     def __enter__(self):
         self._depth += 1
-        # only the main thread may ask for signals, and only it gets them
+        # signals are handled only in the main thread
         if self._depth == 1 and threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
                 if signal.getsignal(number) is not None:  # None: somebody's who is not Python
@@ -180,7 +183,7 @@ class _WaitingSignals:
             self._restore()
 
     def deliver(self) -> None:
-        """What came goes to those who were there before, now."""
+        """Deliver the delayed signals to the original handlers now."""
         if self._came:
             self._restore()
 
@@ -194,7 +197,7 @@ class _WaitingSignals:
 
 
 class _Compilation(event.Listener):
-    """Follows numba's compiler through the life of this process: says so, measures it, holds signals back."""
+    """Listener of numba's compiler in this process: messages to the user, time of compilation, delay of signals."""
 
     def __init__(self):
         self.say = lambda text: print(f'mems_ins_fusion: {text}', file=sys.stderr, flush=True)
@@ -235,13 +238,13 @@ class _Compilation(event.Listener):
             self.say(text)
 
     def keep_seconds(self) -> None:
-        """Write down what this process has compiled so far, where that is not a small rest."""
+        """Save the time of compilation in this process, unless it was small."""
         if self._seconds > (_seconds(FOLDER / 'seconds') or 0.0):
             (FOLDER / 'seconds').write_text(f'{self._seconds:.1f}\n')
 
 
 def _last_seconds() -> float | None:
-    """How long the filter took to compile the last time, in this version or another; None for the first time."""
+    """The time of the last compilation, s, of this version or another; None for the first time."""
     files = sorted(FOLDER.parent.glob('*/seconds'), key=lambda path: path.stat().st_mtime)
     return _seconds(files[-1]) if files else None
 

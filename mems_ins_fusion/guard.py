@@ -40,25 +40,25 @@ def guarded(tool: str, argv: list[str], work: Callable[[], int | None]) -> int:
     """Run `work`; returns its exit status, or that of an exception or signal, which is reported in one line on standard
     error."""
     interruption = _Interruption(tool)
-    warnings.simplefilter('ignore', RuntimeWarning)  # NumPy on values that no sensor delivers
+    warnings.simplefilter('ignore', RuntimeWarning)  # NumPy warnings about impossible values of sensors
     warnings.formatwarning = lambda message, *_, **__: f'{tool}: {one_line(message)}\n'
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, 'reconfigure'):  # what a terminal cannot show is no reason to end
+        if hasattr(stream, 'reconfigure'):  # characters that the terminal cannot show must not end the tool
             stream.reconfigure(errors='backslashreplace')
-    if wrong := [word for word in argv if not _is_utf8(word)]:  # it could not stand in any result
+    if wrong := [word for word in argv if not _is_utf8(word)]:  # such text could not be written to a result
         return _say(tool, f'the name {os.fsencode(wrong[0])!r} is not UTF-8; rename it')
     try:
         with interruption:
             status = work() or 0
             sys.stdout.flush()
             return status
-    except BrokenPipeError:  # whoever read the output has seen enough of it
+    except BrokenPipeError:  # the reader of the output, such as `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
         return _say(tool, _INTERRUPTED, INTERRUPTED)
     except Exception as error:
-        if interruption.requested:  # libraries turn it into errors of their own
+        if interruption.requested:  # a library may have raised another error instead
             return _say(tool, _INTERRUPTED, INTERRUPTED)
         return _say(tool, _reason(tool, argv, error))
 
@@ -71,7 +71,7 @@ def stop_if_interrupted() -> None:
 
 @contextmanager
 def interruption_delayed():
-    """A short block that an interruption does not divide: KeyboardInterrupt comes at its end."""
+    """A short block that is not interrupted: KeyboardInterrupt is raised at its end."""
     running = _Interruption.running
     if running is None:
         yield
@@ -85,7 +85,7 @@ def interruption_delayed():
 
 
 def heard_interruption() -> None:
-    """To be called by code that catches the KeyboardInterrupt and still has something to write."""
+    """To be called by code that catches KeyboardInterrupt and still has to write something."""
     if _Interruption.running is not None:
         _Interruption.running.heard = True
 
@@ -96,7 +96,7 @@ def refuse(tool: str, error: InputError) -> int:
 
 
 def one_line(error) -> str:
-    """The text of an exception or a warning as one line without control characters, its type where it has none."""
+    """The text of an exception or a warning as one line without control characters; its type if it has no text."""
     text = ' '.join(str(error).split()) or type(error).__name__
     return ''.join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
@@ -119,7 +119,7 @@ def _is_utf8(word: str) -> bool:
 def _say(tool: str, text: str, status: int = BAD_INPUT) -> int:
     try:
         print(f'{tool}: {text}', file=sys.stderr)
-    except OSError:  # nobody listens
+    except OSError:  # stderr is closed
         pass
     return status
 
@@ -158,11 +158,11 @@ class _Interruption:
     """
 
     requested = False
-    #: whether who caught it goes on on purpose
+    #: whether the code that caught the exception continues deliberately
     heard = False
-    #: whether a block runs that is not to be divided
+    #: whether a block that is not interrupted runs
     delayed = False
-    #: the one whose block runs
+    #: the instance whose block runs
     running: _Interruption | None = None
 
     def __init__(self, tool: str):
@@ -190,14 +190,14 @@ class _Interruption:
             signal.signal(number, handler)
 
     def _watch(self):
-        """Begin to wait for signals in a thread of its own: the handlers of Python run in the main thread only."""
+        """Wait for signals in a thread, as the handlers of Python run only in the main thread."""
         incoming, self._pipe = os.pipe()
         os.set_blocking(self._pipe, False)
-        # nodes handle signals in their own way, which this does not touch
+        # nodes have handlers of their own, which are kept
         signal.set_wakeup_fd(self._pipe, warn_on_full_buffer=False)
         try:
             threading.Thread(target=self._wait_for_signal, args=(incoming,), daemon=True).start()
-        except RuntimeError:  # no thread may be started: then the main thread alone hears signals
+        except RuntimeError:  # no thread can be started: signals are handled only in the main thread
             signal.set_wakeup_fd(-1)
 
     def _wait_for_signal(self, incoming: int):

@@ -1,4 +1,4 @@
-"""Progress of a tool on standard error: a bar on a terminal, in a log a line now and then."""
+"""Progress of a tool on standard error: a bar on a terminal, single lines in a log."""
 from __future__ import annotations
 
 import sys
@@ -18,7 +18,7 @@ class Progress:
     def __enter__(self):
         self._began = self._said = time.monotonic()
         if sys.stderr.isatty():
-            from tqdm import tqdm  # only now: that takes a while
+            from tqdm import tqdm  # imported here, as it is slow
 
             self._bar = tqdm(total=100, desc=self._name, mininterval=0.02, file=sys.stderr,
                              bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed}, about {remaining} more {postfix}')
@@ -32,7 +32,7 @@ class Progress:
         if self._bar is None:
             self._write_now_and_then(part, what)
             return
-        if what != self._bar.postfix:  # a new stage shows at once, however little time has passed
+        if what != self._bar.postfix:  # a new stage is shown at once
             self._bar.set_postfix_str(what)
         self._bar.update(max(round(100 * part) - self._bar.n, 0))
 

@@ -1,5 +1,5 @@
-"""Results, folders and files, that are either complete or not there, however many write at once and however they
-end."""
+"""Results, folders and files, that are either complete or not there, even if several processes write at once or end
+early."""
 from __future__ import annotations
 
 import ctypes
@@ -17,11 +17,11 @@ from pathlib import Path
 from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.guard import interruption_delayed, stop_if_interrupted
 
-#: ends of the names of unfinished results, and of one that is being replaced
+#: end of the names of unfinished results, and of one that is being replaced
 _UNFINISHED, _FORMER = '.unfinished', '.former'
-#: of renameat2 (linux/fs.h, fcntl.h): paths are not relative to a folder; the two names change places
+#: of renameat2 (linux/fs.h, fcntl.h): paths relative to the current folder; exchange of two names
 _HERE, _EXCHANGE = -100, 2
-#: what a write fails with where there is no room for it, as opposed to a read
+#: error numbers of a write without room
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
@@ -30,22 +30,22 @@ _OPTION = '--overwrite'
 
 
 class ResultError(InputError):
-    """A result that cannot be written: one line that names the path."""
+    """A result that cannot be written; the text is one line with the path."""
 
 
 class ResultBusy(ResultError):
-    """A result that another run is writing at this moment."""
+    """A result that another process is writing now."""
 
 
 @contextmanager
 def result_folder(path, overwrite: bool = False, marker: str = 'report.json', option: str = _OPTION):
-    """A folder to write a result into; it takes the name `path` when the block ends without an exception.
+    """A folder to write a result into; it gets the name `path` when the block ends without an exception.
 
-    Until then its files stand under a temporary name beside `path`, and they are removed if the block fails. Of two
-    runs that write the same result at once the second is refused; what a killed run left behind is removed.
-    marker: the file that tells a result of ours; a folder without it is somebody's own and is never replaced. option:
-    what the user gives to set `overwrite`, for the message. Raises ResultError where `path` is taken and `overwrite` is
-    false, or where it cannot be written.
+    Until then its files are in a folder with a temporary name beside `path`, which is removed if the block fails. If
+    two processes write the same result at once, the second one is refused; remains of a process that was killed are
+    removed. marker: the file by which a result of this package is recognized; a folder without it is never replaced.
+    option: option of the user for `overwrite`, for the message. Raises ResultError if `path` exists and `overwrite` is
+    false, or if it cannot be written.
     """
     path = asked = Path(path)
     with _said(path):
@@ -54,7 +54,7 @@ def result_folder(path, overwrite: bool = False, marker: str = 'report.json', op
         path.parent.mkdir(parents=True, exist_ok=True)
     work = lock = None
     try:
-        with _said(path), interruption_delayed():  # between a folder that exists and the block that removes it
+        with _said(path), interruption_delayed():  # an interruption here would leave the folder
             work, lock = _claim(path)
         with _said(path, work):
             yield work
@@ -68,7 +68,7 @@ def result_folder(path, overwrite: bool = False, marker: str = 'report.json', op
 
 
 def check_free(path, overwrite: bool = False, marker: str = 'report.json', option: str = _OPTION) -> None:
-    """ResultError where a result cannot take the name `path`; for what takes long before it writes."""
+    """Raise ResultError if a result cannot get the name `path`; for tools that take long before they write."""
     path = Path(path)
     with _said(path):
         if path.is_symlink() and not path.exists():
@@ -91,7 +91,8 @@ def _taken(path: Path, option: str = _OPTION) -> ResultError:
 
 @contextmanager
 def _said(path: Path, work: Path | None = None):
-    """Failures of the file system as a ResultError; with `work` only those of writing, there or for want of room."""
+    """Convert errors of the file system to ResultError; with `work` only those of writing below it, or for lack of
+    room."""
     try:
         yield
     except OSError as error:
@@ -106,7 +107,7 @@ def _said(path: Path, work: Path | None = None):
 
 
 def _real(path: Path) -> Path:
-    """The absolute path, so that two spellings of one are the same; a link to a folder is that folder."""
+    """The absolute path, with links resolved, so that two spellings of a path are equal."""
     if path.is_symlink() and path.exists():
         return path.resolve()
     path = path.absolute()
@@ -116,12 +117,12 @@ def _real(path: Path) -> Path:
 def _claim(path: Path) -> tuple[Path, int]:
     """A new folder for the result `path`, locked by this process, and the lock.
 
-    A lock ends with the process that holds it, however that ends: what nobody has locked is left over.
+    A lock ends with its process, however that ends: a folder without a lock is left over.
     """
     parent = os.open(path.parent, os.O_RDONLY)
     try:
-        if not path.parent.name.endswith(_UNFINISHED):  # that is a result of this process, which it has locked
-            fcntl.flock(parent, fcntl.LOCK_EX)  # between the making of a folder and its locking nobody may look
+        if not path.parent.name.endswith(_UNFINISHED):  # the folder is a result that this process has locked
+            fcntl.flock(parent, fcntl.LOCK_EX)  # others must not look at the folder before it is locked
         for folder in _left_over(path, _UNFINISHED):
             _remove_left_over(folder, path)
         for folder in _left_over(path, _FORMER):
@@ -145,7 +146,7 @@ def _left_over(path: Path, suffix: str) -> list[Path]:
 def _remove_left_over(folder: Path, path: Path) -> None:
     try:
         lock = os.open(folder, os.O_RDONLY)
-    except FileNotFoundError:  # it was finished meanwhile
+    except FileNotFoundError:  # it has been finished in the meantime
         return
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -159,11 +160,11 @@ def _remove_left_over(folder: Path, path: Path) -> None:
 
 
 def _replace(path: Path, new: Path) -> None:
-    """Give the folder `new` the name `path`; a former result there takes its name, or is removed."""
+    """Rename the folder `new` to `path`; an earlier result there gets its name, or is removed."""
     if not path.exists() or not any(path.iterdir()):
         new.rename(path)
         return
-    if _exchange(path, new):  # at no moment is there none
+    if _exchange(path, new):  # so that there is a result at any moment
         return
     old = Path(tempfile.mkdtemp(prefix=f'.{path.name}.', suffix=_FORMER, dir=path.parent))
     path.rename(old / path.name)
@@ -172,13 +173,13 @@ def _replace(path: Path, new: Path) -> None:
 
 
 def _exchange(path: Path, other: Path) -> bool:
-    """Exchange the names of two folders in one step; False where the system or the file system does not know how."""
+    """Exchange the names of two folders in one step; False if the system or the file system cannot do this."""
     rename = getattr(ctypes.CDLL(None, use_errno=True), 'renameat2', None)
     return rename is not None and rename(_HERE, os.fsencode(path), _HERE, os.fsencode(other), _EXCHANGE) == 0
 
 
 def json_text(content, **layout) -> str:
-    """`content` as JSON; a number that is none, such as an error beyond all numbers, is null: JSON has no other word.
+    """`content` as JSON; numbers that are not finite are null, as JSON has no other value for them.
 
     layout: of `json.dumps`.
     """
@@ -196,7 +197,7 @@ def plain(content):
 
 
 def check_files_free(paths, overwrite: bool = False) -> None:
-    """ResultError where one of the files `paths` exists and `overwrite` is false, or is a folder."""
+    """Raise ResultError if one of the files `paths` exists and `overwrite` is false, or if it is a folder."""
     for path in map(Path, paths):
         if path.is_dir():
             raise ResultError(f'{path} is a folder, not a file')
@@ -205,7 +206,7 @@ def check_files_free(paths, overwrite: bool = False) -> None:
 
 
 def write_files(texts: dict, overwrite: bool = False) -> None:
-    """Write `texts`, by path: all under temporary names first, then under their own. Raises ResultError."""
+    """Write `texts`, by path: all of them to temporary names first, which are then renamed. Raises ResultError."""
     check_files_free(texts, overwrite)
     made = []
     try:

@@ -1,7 +1,8 @@
-"""The outage protocol on any filter's output: recordings for them, and the table that a replay writes, of each.
+"""The outage protocol for other filters: recordings for them, and the table of a replay from their output.
 
-A filter of somebody else cannot be branched at an outage. So the recordings that `prepare` writes have the outages in
-them, with a time between two of them for the filter to recover; the begins are those of a replay (docs/metrics.md).
+A filter of another package cannot be copied at the begin of an outage. So the recordings that `prepare` writes contain
+the outages, with time for the filter to recover between two of them. The begins are those of a replay
+(docs/metrics.md).
 """
 from __future__ import annotations
 
@@ -31,26 +32,26 @@ from ..samples import Recording, Reference
 from .tracks import Track, gps_week, read_track
 from .variants import VARIANTS, interleaved, withheld
 
-#: what `prepare` writes beside the recordings
+#: file that `prepare` writes beside the recordings
 MARKER, TRUTH = 'bench.json', 'truth.csv'
 #: the recording with all fixes
 FULL = 'full'
 #: s with fixes between two outages, for a filter to recover
 RECOVERY = 60.0
-#: s between two positions of a track that are held against each other where the recording was changed
+#: s between two positions that are compared if the recording was changed
 _APART = 1.0
-#: rows of a trajectory further apart say nothing of what is between them, s
+#: s, longest interval of a trajectory that is interpolated
 _LONGEST_GAP = 10.0
 
 
 class BenchError(InputError):
-    """A bench that cannot be prepared or scored: one line that says why."""
+    """A bench that cannot be prepared or scored; the text is one line with the reason."""
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What `prepare` wrote. recordings: by name, the duration of its outages (s; 0: none) and their begins (ns).
-    datum: rad, rad, m. values: the parameters. judged_from: ns."""
+    """Result of `prepare`. recordings: by name, the duration of its outages (s; 0: none) and their begins (ns). datum:
+    rad, rad, m. values: the parameters. judged_from: ns."""
 
     folder: Path
     recordings: dict[str, tuple[float, np.ndarray]]
@@ -66,9 +67,9 @@ class Prepared:
 
 def prepare(recording: Recording, values: dict, folder: Path, kf_gins: bool = False,
             progress: Callable[[float], None] = lambda part: None) -> list[str]:
-    """Write the recordings of a bench into `folder`: as it is, with outages, and changed; their names.
+    """Write the recordings of a bench into `folder`: unchanged, with outages, and changed. Returns their names.
 
-    values: checked parameters; `outage_durations` and `outage_spacing` count. The outages begin 30 s after this
+    values: checked parameters; `outage_durations` and `outage_spacing` are used. The outages begin 30 s after this
     package's filter has started, as in a replay.
     """
     truth = truth_of(recording, values)
@@ -108,7 +109,7 @@ def prepare(recording: Recording, values: dict, folder: Path, kf_gins: bool = Fa
     return list(made)
 
 
-#: parameters that are of the recording the bench was made of
+#: parameters that belong to the recording of the bench
 _OF_RECORDING = ('bag', 'output_dir', 'reference_topic', 'reference_file', 'start', 'stop')
 
 
@@ -120,23 +121,22 @@ def _not_default(values: dict) -> dict:
 def _write(recording: Recording, path: Path, values: dict) -> None:
     topics = {name: values[name] for name in ('temperature_topic', *(one.topic for one in aiding(values)))
               if values[name]}
-    # a filter that is given the truth is no filter
+    # the reference must not be an input of the filter
     write_recording(replace(recording, reference=None), path, imu_topic=values['imu_topic'],
                     gnss_topic=values['gnss_topic'], inputs=aiding(values), **topics)
 
 
-#: KF-GINS starts where it is told; so long after this package's filter has started, s, it is told where
+#: s after the start of this package's filter at which KF-GINS starts from its state
 _KF_GINS_LATER = 5.0
-#: and by how much that may be off: position north, east, down, m; velocity, m/s; roll, pitch, yaw, deg
+#: standard deviations of this state: position north, east, down, m; velocity, m/s; roll, pitch, yaw, deg
 _KF_GINS_STD = {'initposstd': [2.0, 2.0, 4.0], 'initvelstd': [0.5, 0.5, 0.5], 'initattstd': [2.0, 2.0, 5.0]}
 
 
 def _write_kf_gins(recording: Recording, folder: Path, values: dict, start, other_world: bool) -> None:
-    """IMU and GNSS as KF-GINS reads them: seconds of the week; increments of angle (rad) and velocity (m/s), forward-
-    right-down; and latitude, longitude (deg), height, standard deviations north, east, down (m). And its configuration:
-    where the filter `start` of this package was, and the noise of the parameters; not in `other_world`, where that is
-    another place.
-    Source: src/fileio and config/kf-gins.yaml of KF-GINS."""
+    """IMU and GNSS data in the format of KF-GINS: seconds of the week; increments of angle (rad) and velocity (m/s),
+    forward- right-down; and latitude, longitude (deg), height, standard deviations north, east, down (m). Also its
+    configuration: the state of the filter `start` of this package, and the noise of the parameters; not for
+    `other_world`, in which the state is another one. Source: src/fileio and config/kf-gins.yaml of KF-GINS."""
     folder.mkdir()
     imu, gnss = recording.imu, recording.gnss.select(thin(recording.gnss, 0.0))
     rotation = mounting(values['imu.mounting_rpy'])  # to forward-right-down
@@ -180,7 +180,7 @@ def _write_truth(path: Path, truth: Truth) -> None:
 
 
 def read_prepared(folder) -> Prepared:
-    """What `prepare` wrote. BenchError where it is none."""
+    """The result of `prepare` in a folder. BenchError if there is none."""
     folder = Path(folder)
     try:
         content = json.loads((folder / MARKER).read_text(encoding='utf-8'))
@@ -199,9 +199,10 @@ def read_prepared(folder) -> Prepared:
 
 
 def tracks_in(folder, prepared: Prepared, datum=None, topic: str = '') -> dict[str, Track]:
-    """The answers of a filter in `folder`, by the recording they are to: NAME/ (a bag) or NAME with any ending.
+    """The trajectories of a filter in `folder`, by the recording that they belong to: NAME/ (a bag), or NAME with any
+    extension.
 
-    datum: rad, rad, m, of local coordinates; None: that of the bench, the first fix. BenchError where there are none.
+    datum: rad, rad, m, of local coordinates; None: that of the bench, the first fix. BenchError if there are none.
     """
     folder, found = Path(folder), {}
     week = int(gps_week(prepared.truth.reference.stamp[:1])[0][0])
@@ -218,7 +219,7 @@ def tracks_in(folder, prepared: Prepared, datum=None, topic: str = '') -> dict[s
 
 
 def own_tracks(prepared: Prepared, given: dict, progress: Callable[[float], None] = lambda part: None) -> dict:
-    """The answers of this package's filter. given: parameters by full name, over those of the bench."""
+    """The trajectories of this package's filter. given: parameters by full name, which replace those of the bench."""
     from ..reports.replay import read_part
 
     found = {}
@@ -240,8 +241,8 @@ def own_tracks(prepared: Prepared, given: dict, progress: Callable[[float], None
 
 @dataclass(frozen=True)
 class Score:
-    """A filter on a bench. run: the numbers of a run, as in a replay; outages: of each duration; follows: by variant,
-    RMS and largest distance, m, of its answer from the one to the recording as it is."""
+    """A filter on a bench. run: the numbers of a run, as in a replay. outages: for each duration. follows: by variant,
+    RMS and largest distance, m, of the trajectory from that of the unchanged recording."""
 
     name: str
     run: dict | None
@@ -250,15 +251,15 @@ class Score:
 
 
 def score(name: str, prepared: Prepared, tracks: dict) -> Score:
-    """Measure the answers `tracks` of the filter `name`, by recording."""
+    """Measure the trajectories `tracks` of the filter `name`, by recording."""
     full = tracks.get(FULL)
     run = None
     if full is not None:
         judged = prepared.truth.reference.stamp >= prepared.judged_from
-        # in turns and on straights needs the gyroscopes of a recording, which not each filter has
+        # errors in turns and on straights need the gyroscopes of the recording, which not all filters have
         errors = position_errors(full, prepared.truth.select(judged), np.zeros(judged.sum(), dtype=bool), _LONGEST_GAP)
         run = metrics.summary(errors)
-        if not np.isfinite(errors.nees).all():  # it tells no covariance
+        if not np.isfinite(errors.nees).all():  # the filter gives no covariance
             run |= {'nees_mean': None, 'within_95_percent': None}
     durations = sorted({duration for duration, _ in prepared.recordings.values() if duration})
     outages = [_outages(duration, prepared, tracks) for duration in durations]
@@ -295,7 +296,7 @@ def _outages(duration: float, prepared: Prepared, tracks: dict) -> dict:
 
 
 def follows(variant: str, prepared: Prepared, full, changed) -> tuple[float, float]:
-    """By how much the answer to a changed recording, turned back, is not that to the recording as it is: RMS and
+    """Distance between the trajectory of a changed recording, transformed back, and that of the unchanged one: RMS and
     largest horizontal distance, m."""
     change = VARIANTS[variant]
     first, last = prepared.judged_from, min(full.stamp[-1], changed.stamp[-1] - change.shift)
@@ -314,7 +315,7 @@ def _local(track, at: np.ndarray, datum) -> tuple[np.ndarray, np.ndarray]:
 
 
 def table_text(scores: Sequence[Score]) -> str:
-    """The scores for a terminal."""
+    """The scores as text for a terminal."""
     lines = [f"{'filter':<24}{'outage':>10}{'RMS':>10}{'median':>10}{'95 %':>10}{'count':>7}{'in ellipse':>12}"]
     for s in scores:
         if s.run:
@@ -335,7 +336,7 @@ def _line(name: str, outage: str, numbers, count: int, percent) -> str:
 
 
 def report(scores: Sequence[Score], prepared: Prepared) -> dict:
-    """The content of report.json: rows as those of a replay, with `filter`."""
+    """The content of report.json: rows like those of a replay, with `filter`."""
     return {'tool': 'bench', 'version': __version__, 'truth': prepared.truth.source,
             'runs': [{'filter': s.name, **s.run} for s in scores if s.run],
             'outages': [{'filter': s.name, **row} for s in scores for row in s.outages],

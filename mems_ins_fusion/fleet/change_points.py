@@ -1,10 +1,11 @@
-"""What changed in a vehicle, and between which drives: change points of what each drive shows of it.
+"""Changes of a vehicle between drives: change points in the estimates from single drives.
 
-A series of estimates x_i with sigmas s_i, in the order of time, is taken to be constant but for steps. The sigmas may
-be too small. So they are multiplied by a scale: the ratio of the differences between neighbouring drives of all
-vehicles to what their sigmas say. It is a median, which the few differences with a step in them do not move. A step is
-tested with Student's t, with the degrees of freedom of that scale, at a level divided by the number of all places of
-all series (Bonferroni).
+A series of estimates x_i with standard deviations s_i, in the order of time, is modelled as constant except for steps.
+The s_i may be too small. So they are multiplied by a scale: the ratio of the differences between successive drives of
+all vehicles to their expectation. It is computed as a median, on which the few differences with a step have little
+effect. Each step is tested with Student's t, with the degrees of freedom of the scale, at a level divided by the number
+of all places in all series (Bonferroni).
+
 Source: binary segmentation, A. J. Scott, M. Knott, "A cluster analysis method for grouping means in the analysis of
 variance", Biometrics 30, 1974.
 """
@@ -18,13 +19,13 @@ import numpy as np
 
 from ..navigation.frames import wrap
 
-#: probability of a false change anywhere in a fleet in which nothing changed
+#: probability of any false change in a fleet without changes
 LEVEL = 0.01
 #: median of a chi-square variable with one degree of freedom
 _MEDIAN = 0.4549364231195724
-#: differences between neighbouring drives of all vehicles: from fewer no scale is estimated, and nothing is said
+#: smallest number of differences between successive drives of all vehicles; with fewer no change is reported
 FEWEST = 4
-#: the same of one vehicle's own drives, for a scale of its own
+#: the same for a separate scale of one vehicle
 FEWEST_OWN = 3
 #: degrees of freedom of a scale by the median, for each difference: the median of squares is worth 37 % of their mean
 #: (P. J. Huber, "Robust Statistics", 1981), and neighbouring differences share a drive
@@ -33,8 +34,8 @@ EFFICIENCY = 0.3
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity whose changes are looked for. unit: as people read it; values in it are `scale` times those in SI.
-    ratio: changes are factors. angle: 2 pi is the same as 0."""
+    """A quantity whose changes are looked for. unit: as shown to people; values in it are `scale` times those in SI.
+    ratio: whether changes are factors. angle: whether it is periodic with 2 pi."""
 
     effect: str
     parameter: str
@@ -45,7 +46,7 @@ class Quantity:
     angle: bool = False
 
 
-#: whose changes are looked for: by effect and parameter, as the rows of `effects` have them
+#: the quantities whose changes are looked for, by effect and parameter as in the rows of `effects`
 QUANTITIES = {(q.effect, q.parameter): q for q in (
     Quantity('gnss_time_offset', 'time_offset', 'time offset of the receiver', 's'),
     *(Quantity('mounting_rotation', name, f'{name} of the IMU\'s mounting', 'deg', 180 / math.pi, angle=True)
@@ -59,9 +60,10 @@ QUANTITIES = {(q.effect, q.parameter): q for q in (
 
 @dataclass(frozen=True)
 class Series:
-    """What one vehicle's drives say of one quantity, in the order of time: stamp (n,) ns, value and sigma (n,).
+    """Estimates of one quantity from the drives of one vehicle in the order of time: stamp (n,) ns, value and sigma
+    (n,).
 
-    Of a ratio value and sigma are those of the logarithm. source: who estimated; sources are not mixed.
+    Of a ratio value and sigma are those of the logarithm. source: the estimator; different ones are not mixed.
     """
 
     vehicle: str
@@ -77,8 +79,9 @@ class Series:
 
 @dataclass(frozen=True)
 class Change:
-    """One step. last, first: ns, of the last drive before it and the first one after it. before, after: (n,) drives.
-    step, sigma: in the unit of the quantity; p: of no step, all places counted."""
+    """One step. last, first: ns, of the last drive before and the first drive after it. before, after: number of
+    drives. step, sigma: in the unit of the quantity. p: probability of a step this large without a change, corrected
+    for all places."""
 
     vehicle: str
     quantity: Quantity
@@ -91,7 +94,7 @@ class Change:
     p: float
 
     def words(self) -> str:
-        """As a person is told it."""
+        """The change in words."""
         q = self.quantity
         size = f'{abs(self.step):.2g} +- {self.sigma:.1g} {q.unit}'
         how = (f'{"up" if self.step > 0 else "down"} by {size}' if q.ratio else f'changed by {self.step:+.2g} +- '
@@ -101,7 +104,7 @@ class Change:
 
 
 def day(stamp: int) -> str:
-    """A time, ns, as people write it."""
+    """A time, ns, as a date."""
     return str(np.datetime64(int(stamp), 'ns').astype('datetime64[m]')).replace('T', ' ')
 
 
@@ -118,7 +121,7 @@ def series_of(rows: Sequence[dict]) -> list[Series]:
 def _one_series(quantity: Quantity, rows: list[dict]) -> Series:
     rows = sorted(rows, key=lambda row: (row['stamp_ns'], row['value']))
     value = np.array([row['value'] for row in rows], dtype=float)
-    # without a stated sigma all drives are worth the same, and the scale tells what
+    # without stated sigmas all drives have the same weight, and the scale gives their scatter
     sigma = np.array([row['sigma'] if row['sigma'] else math.nan for row in rows], dtype=float)
     if quantity.ratio:
         with np.errstate(divide='ignore', invalid='ignore'):
@@ -132,7 +135,7 @@ def _one_series(quantity: Quantity, rows: list[dict]) -> Series:
 
 
 def find_changes(series: Sequence[Series]) -> list[Change]:
-    """The changes in all series of a fleet, judged together."""
+    """The changes in all series of a fleet."""
     places = sum(max(len(s) - 1, 0) for s in series)
     found = []
     for kind in dict.fromkeys((s.quantity, s.source) for s in series):
@@ -150,10 +153,10 @@ def find_changes(series: Sequence[Series]) -> list[Change]:
 
 
 def _scale(series: Sequence[Series], without: int = 0) -> tuple[float, int]:
-    """By how much neighbouring drives differ, over what their sigmas say, at least 1, and from how many differences,
-    `without` the largest ones.
+    """Ratio of the differences between successive drives to their expectation, at least 1, and the number of
+    differences, `without` the largest ones.
 
-    A median of the squares: steps, which are few, move it little.
+    It is a median of squares, on which the few steps have little effect.
     """
     squares = np.concatenate([np.diff(s.value)**2 / (s.sigma[1:]**2 + s.sigma[:-1]**2) for s in series])
     squares = np.sort(squares)[:max(len(squares) - without, 0)]
@@ -163,8 +166,8 @@ def _scale(series: Sequence[Series], without: int = 0) -> tuple[float, int]:
 
 
 def _steps(s: Series, begin: int, end: int, freedom: float, places: int) -> list[tuple]:
-    """(first, place, end, p) of the steps among the drives from `begin` to `end`, each with the level drives around it.
-    """
+    """(first, place, end, p) of the steps among the drives from `begin` to `end`, each with the constant parts around
+    it."""
     if end - begin < 2:
         return []
     weight = 1.0 / s.sigma[begin:end]**2

@@ -1,7 +1,7 @@
-"""Who does the jobs: processes on this machine, or the workers of a Dask cluster. Both give the same results.
+"""Engines that run jobs: processes on this machine, or the workers of a Dask cluster, with the same results.
 
-An engine is a context manager with `each(function, items)`, which yields (item, what `function` made of it), or
-(item, DIED) where a worker ended while it had the item, twice, in the order in which they are done.
+An engine is a context manager with `each(function, items)`, which yields (item, result of `function`) in the order in
+which items are finished, or (item, DIED) for an item whose worker ended twice.
 """
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from multiprocessing.connection import wait
 
 from ..errors import InputError
 
-#: the answer of a worker that ended while it had an item
+#: result of an item whose worker ended
 DIED = object()
-#: how often an item is given to a worker before it is given up
+#: number of attempts for an item whose worker ends
 TRIES = 2
-#: a worker keeps one core busy: its neighbours have the others
+#: environment of a worker with one thread: the other cores are used by other workers
 _ONE_THREAD = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
 #: PR_SET_PDEATHSIG of linux/prctl.h
 _END_WITH_PARENT = 1
-#: how long a worker may take to end by itself, s
+#: s, time for a worker to end by itself
 PATIENCE = 0.5
 
 
 class EngineError(InputError):
-    """An engine that cannot be had: one line that says why."""
+    """An engine that is not available; the text is one line with the reason."""
 
 
 def engine(scheduler: str, workers: int):
@@ -52,9 +52,9 @@ def _has_dask() -> bool:
 
 
 class Pool:
-    """Processes on this machine, one thread each. One that ends is replaced; others go on.
+    """Processes on this machine, one thread each. A process that ends is replaced, and the others continue.
 
-    Not `concurrent.futures`, whose pool breaks as a whole when one of its processes ends.
+    `concurrent.futures` is not used because its whole pool fails when one process ends.
     """
 
     def __init__(self, workers: int):
@@ -77,7 +77,7 @@ class Pool:
             self._give(function, left)
             for ready in wait([end for w in self._workers if w.busy for end in (w.pipe, w.process.sentinel)]):
                 worker = next((w for w in self._workers if w.busy and ready in (w.pipe, w.process.sentinel)), None)
-                if worker is None:  # the other of its two ends was ready, too
+                if worker is None:  # both its pipe and its sentinel were ready, and it was handled already
                     continue
                 item, tries = worker.has
                 try:
@@ -106,7 +106,7 @@ class Pool:
 
 
 class _Worker:
-    """One process and what it has to do. has: the item and the number of the try."""
+    """A process and its current item. has: the item and the number of the attempt."""
 
     def __init__(self, context):
         self.pipe, theirs = context.Pipe()
@@ -122,7 +122,7 @@ class _Worker:
 
     def give(self, function, item, tries: int) -> None:
         self.has = item, tries
-        with suppress(OSError):  # it ended: `take` sees that
+        with suppress(OSError):  # it has ended, which `take` handles
             self.pipe.send((function, item))
 
     def take(self):
@@ -136,7 +136,7 @@ class _Worker:
         return answer
 
     def dismiss(self) -> None:
-        """Let the process end: at once where it has something to do, which then is not done."""
+        """Let the process end, at once if it has an item, which then is not finished."""
         self.pipe.close()
         if self.has is not None:
             self.process.kill()
@@ -152,7 +152,7 @@ class _Worker:
 
 @contextmanager
 def _environment_of_one_thread() -> Iterator[None]:
-    """What a child inherits: NumPy reads it when it is imported."""
+    """Set the environment for child processes: NumPy reads it when it is imported."""
     former = dict(os.environ)
     os.environ.update(_ONE_THREAD)
     try:
@@ -163,9 +163,10 @@ def _environment_of_one_thread() -> Iterator[None]:
 
 
 def _serve(pipe) -> None:
-    """The life of a worker: until its pipe is closed, or who started it has ended, whose business interruptions are."""
+    """Main loop of a worker, until its pipe is closed or its parent process has ended. Interruptions are for the
+    parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with suppress(AttributeError, OSError):  # Linux only: elsewhere it ends when it has done what it has
+    with suppress(AttributeError, OSError):  # Linux only: elsewhere it ends after its current item
         ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)
     while True:
         try:
@@ -185,7 +186,7 @@ def local_cluster(workers: int) -> Iterator[_Dask]:
     import dask
     from distributed import Client, LocalCluster
 
-    # what is tried once more, and when, is for `_Dask` to say
+    # attempts are counted by `_Dask`
     settings = {'distributed.scheduler.allowed-failures': 0, 'distributed.logging.distributed': 'critical',
                 'distributed.nanny.pre-spawn-environ': _ONE_THREAD}
     with dask.config.set(settings):
@@ -195,7 +196,7 @@ def local_cluster(workers: int) -> Iterator[_Dask]:
         patience = 30.0
         try:
             yield _Dask(client)
-        except BaseException:  # an interrupted user does not wait until all has been put in order
+        except BaseException:  # after an interruption, do not wait for an orderly end
             patience = PATIENCE
             for nanny in local.workers.values():
                 with suppress(Exception):
@@ -203,13 +204,13 @@ def local_cluster(workers: int) -> Iterator[_Dask]:
             raise
         finally:
             for end in (client, local):
-                with suppress(Exception):  # what is late ends with this process
+                with suppress(Exception):  # workers that are late end with this process
                     end.close(timeout=patience)
 
 
 @contextmanager
 def cluster(address: str) -> Iterator[_Dask]:
-    """The workers of the Dask scheduler at `address`. EngineError where nobody answers there."""
+    """The workers of the Dask scheduler at `address`. EngineError if it does not answer."""
     from distributed import Client
 
     try:
@@ -227,10 +228,10 @@ def cluster(address: str) -> Iterator[_Dask]:
 
 
 class _Dask:
-    """`each` by the workers of a cluster.
+    """`each` with the workers of a cluster.
 
-    Dask holds what waits on a worker that ended as suspect as what ran there. So each of them is tried once more, with
-    a worker of its own: whose fault it was is known then.
+    When a worker ends, Dask suspects all items that it had, including those that had not begun. So each of them is
+    tried once more with a worker of its own, which shows whose fault it was.
     """
 
     def __init__(self, client):
@@ -251,7 +252,7 @@ class _Dask:
             yield from ((item, DIED) for item in died)
 
     def _done(self, futures: list, items: list, lost: list) -> Iterator[tuple]:
-        """(item, answer) in the order in which they are done; `lost` gets the items whose worker ended."""
+        """(item, result) in the order in which items are finished; items whose worker ended are added to `lost`."""
         from distributed import KilledWorker, as_completed
 
         left = {future.key: (future, item) for future, item in zip(futures, items)}

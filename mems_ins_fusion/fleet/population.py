@@ -1,10 +1,10 @@
-"""What holds of vehicles, from what was measured on their recordings: the vehicle is the unit.
+"""Statements about vehicles from measurements of their recordings: the vehicle is the unit.
 
-A hundred recordings of one car say how that car fares, not how cars do. So each vehicle counts once, with the mean over
-its recordings, and intervals are Student's t over vehicles: means of vehicles are what a linear mixed model with a
-random effect for each vehicle weighs alike where vehicles differ more than recordings of one (J. C. Pinheiro, D. M.
-Bates, "Mixed-Effects Models in S and S-PLUS", 2000, chapter 1). Where there is one vehicle, or there are two, a
-statement on vehicles is not to be had: then recordings are the unit, and that is said.
+A hundred recordings of one car show the errors with this car, not those with cars in general. So each vehicle has the
+same weight, with the mean over its recordings, and intervals are those of Student's t over vehicles. This is what a
+linear mixed model with a random effect for each vehicle gives if vehicles differ more than the recordings of one (J. C.
+Pinheiro, D. M. Bates, "Mixed-Effects Models in S and S-PLUS", 2000, chapter 1). With one or two vehicles no statement
+about vehicles is possible; then recordings are the unit, and the output says so.
 """
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ VEHICLES, RECORDINGS = 'vehicles', 'recordings'
 
 @dataclass(frozen=True)
 class Candidate:
-    """What is compared: a sensor error model, with a params file where several were tried on one recording, else ''."""
+    """A sensor error model to compare; params_file: if several were tried on one recording, else ''."""
 
     params_file: str
     model: str
@@ -34,7 +34,7 @@ class Candidate:
 
 @dataclass(frozen=True, order=True)
 class Where:
-    """A quantity that is compared. without: s without fixes, 0 with them; interval: s between the fixes given."""
+    """A quantity to compare. without: s without fixes; 0: with fixes. interval: s between fixes."""
 
     without: float
     interval: float
@@ -48,7 +48,7 @@ Errors = dict[Where, dict[Candidate, dict[tuple[str, str], float]]]
 
 
 def errors_of(results: Sequence[dict], outages: Sequence[dict]) -> Errors:
-    """What the tables `results` and `outages` hold of errors."""
+    """The errors in the tables `results` and `outages`."""
     found: Errors = {}
     numbers = [(row, Where(0.0, row['update_interval_s'] or 0.0), row['horizontal_rmse_m']) for row in results]
     numbers += [(row, Where(row['duration_s'], row['update_interval_s'] or 0.0), row['max_error_rms_m'])
@@ -56,7 +56,7 @@ def errors_of(results: Sequence[dict], outages: Sequence[dict]) -> Errors:
     files: dict[str, set[str]] = {}
     for row, _, _ in numbers:
         files.setdefault(row['recording_id'], set()).add(row['params_file'] or '')
-    # each vehicle may have a params file of its own: that is no choice
+    # vehicles with different params files: these are not alternatives
     choice = any(len(names) > 1 for names in files.values())
     for row, where, error in numbers:
         if error is not None and row['recording_id'] and not row['stage']:
@@ -66,7 +66,8 @@ def errors_of(results: Sequence[dict], outages: Sequence[dict]) -> Errors:
 
 
 def over_vehicles(values: dict[tuple[str, str], float]) -> tuple[np.ndarray, str]:
-    """The means over the recordings of each vehicle, or, where there are too few vehicles, each recording; and which.
+    """The means over the recordings of each vehicle, or each recording if there are too few vehicles; and which of
+    both.
 
     values: by vehicle and recording.
     """
@@ -79,21 +80,21 @@ def over_vehicles(values: dict[tuple[str, str], float]) -> tuple[np.ndarray, str
 
 
 def mean_of(values: np.ndarray) -> Difference | None:
-    """The mean of independent `values` (n,), with its standard error; None of too few."""
+    """The mean of independent `values` (n,) with its standard error; None if there are too few."""
     if len(values) < FEWEST:
         return None
     return Difference(float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values))), float(len(values)))
 
 
 def change(where: Where, before: dict, after: dict) -> tuple[Change, str] | None:
-    """The change from one candidate to another at the recordings that both have, and its unit; None without any.
+    """The change from one candidate to another on the recordings that both have, and its unit; None if there are none.
 
     before, after: m, by vehicle and recording.
     """
     both = sorted(before.keys() & after.keys())
     if not both:
         return None
-    power = 1 if where.without else 2  # mean square errors have a mean, their roots have not
+    power = 1 if where.without else 2  # averages are those of mean squares, not of their roots
     differences, unit = over_vehicles({key: after[key]**power - before[key]**power for key in both})
     means = [float(np.mean(over_vehicles({key: e[key]**power for key in both})[0]))**(1 / power)
              for e in (before, after)]
@@ -119,8 +120,8 @@ def compared(before: Errors, after: Errors) -> tuple[Verdict, str]:
 
 @dataclass(frozen=True)
 class Standing:
-    """How a candidate fares at a quantity. mean: m, of the unit's means; low, high: its 95 % interval or None. count:
-    of `unit`. answer: of the verdict on it against the best one; '' for the best."""
+    """Result of a candidate for a quantity. mean: m, over units; low, high: its 95 % interval or None. count: number of
+    units (`unit`). answer: of the verdict against the best candidate; '' for the best."""
 
     where: Where
     candidate: Candidate
@@ -133,7 +134,7 @@ class Standing:
 
 
 def standings(errors: Errors) -> list[Standing]:
-    """Which candidate wins where: for each quantity all candidates, the best first."""
+    """The candidates for each quantity, the best first."""
     found = []
     for where, candidates in errors.items():
         means = {c: over_vehicles(e) for c, e in candidates.items()}
@@ -150,7 +151,8 @@ def standings(errors: Errors) -> list[Standing]:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A vehicle that is not as the others. value: of it; middle: of all; distance: in robust standard deviations."""
+    """A vehicle that differs from the others. value: of it. middle: median of all. distance: in robust standard
+    deviations."""
 
     vehicle: str
     what: str
@@ -160,14 +162,15 @@ class Outlier:
     distance: float
 
 
-#: a vehicle further from the median of all than this, in standard deviations by the median deviation, is named
+#: distance from the median of all vehicles, in standard deviations by the median deviation, above which a vehicle is
+#: reported
 FAR = 4.0
-#: of fewer vehicles nobody is an outlier
+#: smallest number of vehicles in which outliers are looked for
 FEWEST_VEHICLES = 5
 
 
 def by_effect(effects: Sequence[dict]) -> dict[tuple[str, str, str, str], dict[str, float]]:
-    """Median over the recordings of each vehicle, of each parameter of each effect: by source, effect, parameter and
+    """Median over the recordings of each vehicle, for each parameter of each effect: by source, effect, parameter and
     unit, then by vehicle."""
     found: dict[tuple, dict[str, list]] = {}
     for row in effects:
@@ -179,7 +182,7 @@ def by_effect(effects: Sequence[dict]) -> dict[tuple[str, str, str, str], dict[s
 
 
 def outliers(values: dict[str, float], what: str, unit: str) -> list[Outlier]:
-    """Vehicles whose value is far from those of the others. values: by vehicle."""
+    """Vehicles whose values are far from those of the others. values: by vehicle."""
     numbers = np.array(list(values.values()))
     if len(numbers) < FEWEST_VEHICLES:
         return []

@@ -1,4 +1,4 @@
-"""A fleet from its source to tables, histories and a page: what is done already is not done again."""
+"""Run of a fleet: from its source to tables, histories and a page. Work that is already done is not repeated."""
 from __future__ import annotations
 
 import csv
@@ -34,9 +34,9 @@ DONE, FAILED, DUPLICATE, OPEN = 'done', 'failed', 'duplicate', 'open'
 
 @dataclass(frozen=True)
 class Asked:
-    """What a user asks for. params_file: of recordings whose table names none. workers: processes on this machine.
-    memory: GB for each. shard: (i, n), the i-th of n parts; (1, 1): all. pages: whether to write those of recordings.
-    """
+    """The task of a fleet run. params_file: for recordings whose table names none. workers: processes on this machine.
+    memory: GB for each of them. shard: (i, n), the i-th of n parts; (1, 1): all. pages: whether to write the pages of
+    recordings."""
 
     source: str
     task: str
@@ -52,7 +52,7 @@ class Asked:
 
 @dataclass
 class Fleet:
-    """What came out. rows: by name of the table; said: what a person is to be told; interrupted: not all was done."""
+    """Result of a fleet run. rows: by table name. said: messages to the user. interrupted: whether jobs are left."""
 
     asked: Asked
     rows: dict[str, list[dict]]
@@ -64,7 +64,7 @@ class Fleet:
         return sum(row['status'] == status for row in self.rows['recordings'])
 
     def not_usable(self) -> dict[str, dict[str, str]]:
-        """What is certainly wrong with recordings: by vehicle and `recording_id`, the first that was found."""
+        """The first reason why each recording is certainly not usable, by vehicle and `recording_id`."""
         found: dict[str, dict[str, str]] = {}
         for row in self.rows.get('findings', ()):
             if row['severity'] == 'error' and row['recording_id']:
@@ -73,10 +73,10 @@ class Fleet:
 
 
 def run(asked: Asked, progress: Callable[[float, str], None] = lambda part, what: None) -> Fleet:
-    """Do what is left to do and write tables, histories and page; of a shard only the work is done.
+    """Do the jobs that are left, and write tables, histories and the page; with a shard, only the jobs.
 
-    progress: called with the part done and what is being done. An interruption ends the work, not the writing.
-    Raises SourceError, EngineError, ResultError.
+    progress: called with the part done and the current step. An interruption ends the jobs; what is finished is
+    written. Raises SourceError, EngineError, ResultError.
     """
     entries, states = _entries(asked)
     _claim(asked)
@@ -100,12 +100,12 @@ def run(asked: Asked, progress: Callable[[float, str], None] = lambda part, what
 
 
 def _entries(asked: Asked) -> tuple[list[Entry], list[Entry]]:
-    """The recordings of the asked shard, and the state files."""
+    """The recordings of the shard, and the state files."""
     found = find_entries(asked.source, asked.vehicle_from)
     states = [entry for entry in found if is_state_file(entry.recording)]
     entries = [replace(e, params_file=e.params_file or asked.params_file) for e in found if e not in states]
     i, n = asked.shard
-    if asked.task in TOGETHER:  # all of a vehicle's are in one shard
+    if asked.task in TOGETHER:  # all recordings of a vehicle are in one shard
         vehicles = sorted({entry.vehicle for entry in entries})
         entries = [entry for entry in entries if vehicles.index(entry.vehicle) % n == i - 1]
     else:
@@ -114,7 +114,7 @@ def _entries(asked: Asked) -> tuple[list[Entry], list[Entry]]:
 
 
 def _claim(asked: Asked) -> None:
-    """Make the output folder. ResultError where it is somebody else's, or of another task."""
+    """Make the output folder. ResultError if it belongs to something else, or to another task."""
     output = asked.output
     marker = output / MARKER
     if marker.is_file():
@@ -133,15 +133,15 @@ def _claim(asked: Asked) -> None:
 
 
 class _Known:
-    """What has been read of recordings, and which results are there."""
+    """Identities of the recordings, and their results so far."""
 
     def __init__(self, asked: Asked):
         self._asked = asked
         self._options = {'pages': asked.pages, 'memory_gb': asked.memory}
         self._contents = self._remembered()
         self._read: dict[str, str] = {}
-        #: of the results that are there: what the table `recordings` says of them, by the id of the job, and the other
-        #: tables; loaded: they hold all that earlier runs did
+        #: of finished jobs: their columns in the table `recordings`, by the id of the job, and their rows in the other
+        #: tables; loaded: whether the results of earlier runs are included
         self._results: dict[str, dict] = {}
         self.texts = tables.Texts()
         self.loaded = False
@@ -154,7 +154,7 @@ class _Known:
         return found
 
     def read(self, entries: Sequence[Entry], workers, progress: Callable[[float], None]) -> None:
-        """Read what tells recordings from each other, where that is not known from an earlier run."""
+        """Read the recordings whose identity is not known from an earlier run."""
         places = sorted({p for e in entries for p in (e.recording, e.params_file, e.reference) if p})
         unread = [place for place in places if not self._is_known(place)]
         for done, (place, found) in enumerate(workers.each(identify, unread), 1):
@@ -173,7 +173,7 @@ class _Known:
         return False
 
     def content(self, entry: Entry) -> str:
-        """What tells the recording from others; where it could not be read, its name."""
+        """Identity of the recording; its name if it could not be read."""
         return self._read.get(entry.recording, entry.recording)
 
     def size(self, work: Job) -> int:
@@ -181,7 +181,7 @@ class _Known:
         return sum(self._contents[place][1] for place in work.recordings if place in self._contents)
 
     def firsts(self, entries: Sequence[Entry]) -> dict[tuple, Entry]:
-        """The first of the recordings that are the same, by what they are."""
+        """The first of each group of identical recordings, by identity."""
         found: dict[tuple, Entry] = {}
         for entry in entries:
             found.setdefault(self._key(entry), entry)
@@ -191,7 +191,7 @@ class _Known:
         return self.content(entry), self._read.get(entry.params_file, ''), self._read.get(entry.reference, '')
 
     def load(self, entries: Sequence[Entry]) -> None:
-        """Look up what is done of all jobs."""
+        """Look up the results of all jobs."""
         for work in self.alone(entries).values():
             self.look_up(work)
         for work in self.together(entries).values():
@@ -199,7 +199,7 @@ class _Known:
         self.loaded = True
 
     def look_up(self, work: Job) -> None:
-        """Take in the result of a job, where there is one."""
+        """Take over the result of a job, if there is one."""
         found = result(self._asked.output, work)
         if found is not None:
             self._results[work.id] = {name: found[name] for name in ('status', 'error_id', 'reason')} | {
@@ -208,17 +208,17 @@ class _Known:
                 self.texts.add(name, tables.complete(name, rows), work.id)
 
     def is_open(self, work: Job) -> bool:
-        """Whether a job is to be done: it has no result, or one that a new try may change."""
+        """Whether a job is to be done: it has no result, or one that may change when it is repeated."""
         found = self._results.get(work.id)
         return found is None or found['error_id'] in PASSING
 
     def alone(self, entries: Sequence[Entry]) -> dict[Entry, Job]:
-        """The job of each recording; of the same recordings of the first one only."""
+        """The job of each recording; of identical recordings only that of the first."""
         return {entry: job(TASKS[self._asked.task], [(entry, self.content(entry))], self._read, self._options)
                 for entry in self.firsts(entries).values()}
 
     def together(self, entries: Sequence[Entry]) -> dict[tuple[Entry, ...], Job]:
-        """The jobs on all recordings of a vehicle that could be read."""
+        """The jobs with all readable recordings of a vehicle."""
         if self._asked.task not in TOGETHER:
             return {}
         read = [(entry, self.content(entry)) for entry, alone in self.alone(entries).items()
@@ -254,7 +254,7 @@ def result(output: Path, work: Job) -> dict | None:
 
 
 def _all(workers, jobs: dict, known: _Known, asked: Asked, progress: Callable[[float, str], None]) -> None:
-    """Do those of `jobs` that have no result, the largest first: a long one begun last would keep all waiting.
+    """Do those of `jobs` that have no result, the largest first, so that the last ones to end are short.
 
     Source: R. L. Graham, "Bounds on multiprocessing timing anomalies", 1969.
     """
@@ -271,7 +271,7 @@ def _all(workers, jobs: dict, known: _Known, asked: Asked, progress: Callable[[f
 
 
 def _compiled_first(workers, function, items: list, asked: Asked) -> Iterator[tuple]:
-    """`workers.each`, but until the filter is compiled one after the other: else each process would compile it."""
+    """`workers.each`, but one job at a time until the filter is compiled: otherwise each process would compile it."""
     from ..compiled import FOLDER
 
     while items and asked.scheduler == 'local' and not FOLDER.exists():
@@ -282,7 +282,7 @@ def _compiled_first(workers, function, items: list, asked: Asked) -> Iterator[tu
 
 
 def _interrupted(asked: Asked, known: _Known, entries) -> Fleet:
-    """The CSV tables of what is finished, which is done at once: nobody waits for the rest."""
+    """Write only the CSV tables of finished jobs, which is fast, after an interruption."""
     rows = {'recordings': known.recordings(entries)}
     if known.loaded and asked.shard == (1, 1):
         known.texts.add('recordings', tables.complete('recordings', rows['recordings']))
@@ -316,7 +316,7 @@ def _written(asked: Asked, known: _Known, entries, states) -> Fleet:
 
 
 def _rows(asked: Asked, known: _Known, entries: Sequence[Entry]) -> dict[str, list[dict]]:
-    """The rows of all tables, from the results that are there."""
+    """The rows of all tables, from the results so far."""
     rows: dict[str, list[dict]] = {name: [] for name in tables.TABLES}
     rows['recordings'] = known.recordings(entries)
     for work in (*known.alone(entries).values(), *known.together(entries).values()):
@@ -330,7 +330,7 @@ def rows_of(work: Job, found: dict) -> dict[str, list[dict]]:
     about = {'vehicle': work.vehicle, 'params_file': work.params_file, 'task': work.task,
              'recording_id': work.contents[0] if len(work.contents) == 1 else ''}
     rows = {name: [about | row for row in some] for name, some in found.get('rows', {}).items()}
-    if found.get('status') == FAILED and work.task in TOGETHER:  # else the table of recordings tells it
+    if found.get('status') == FAILED and work.task in TOGETHER:  # of other tasks: in `recordings`
         rows.setdefault('findings', []).append(about | {
             'source': work.task, 'severity': 'error', 'topic': '',
             'message': f'{found["error_id"]}: {found["reason"]}'})

@@ -1,4 +1,4 @@
-"""Which recordings of which vehicles a fleet has: a folder, a glob or a table, local or behind a URL."""
+"""The recordings of a fleet and their vehicles: from a folder, a glob or a table, local or behind a URL."""
 from __future__ import annotations
 
 import csv
@@ -13,24 +13,23 @@ from pathlib import Path, PurePosixPath
 from ..errors import InputError
 from ..guard import one_line
 
-#: ends of the names of files that are recordings, those of `recordings.bags` and what `characterize` reads
+#: extensions of recordings: those of `recordings.bags`, and those that `characterize` reads
 SUFFIXES = ('.mcap', '.db3', '.bag', '.mcap.zstd', '.db3.zstd', '.npz')
-#: the end of the name of a state file of `fusion_node`
+#: end of the name of a state file of `fusion_node`
 STATE_FILE = '.json'
-#: columns of a table of recordings; the first two must be there
+#: columns of a table of recordings; the first two are required
 COLUMNS = ('vehicle', 'recording', 'params_file', 'reference')
-#: read at once to tell what a file holds, bytes
+#: bytes that are read at once to compute an identity
 _PIECE = 2**22
 
 
 class SourceError(InputError):
-    """A source of recordings that cannot be used: one line that says why."""
+    """A source of recordings that cannot be used; the text is one line with the reason."""
 
 
 @dataclass(frozen=True, order=True)
 class Entry:
-    """One recording of a vehicle. recording, params_file, reference: path or URL; the last two '' where there are none.
-    """
+    """One recording of a vehicle. recording, params_file, reference: path or URL; the last two may be ''."""
 
     vehicle: str
     recording: str
@@ -41,8 +40,8 @@ class Entry:
 def find_entries(source: str, vehicle_from: str = '') -> list[Entry]:
     """The recordings that `source` names, sorted: a folder, a glob (with `**` for any depth), a table or one recording.
 
-    vehicle_from: where in a path the vehicle's name stands, such as 'logs/{vehicle}/*'; else the name of the folder
-    that the recording stands in. Raises SourceError.
+    vehicle_from: pattern of a path with the name of the vehicle, such as 'logs/{vehicle}/*'; otherwise it is the name
+    of the folder that contains the recording. Raises SourceError.
     """
     pattern = _vehicle_pattern(vehicle_from)
     if source.endswith(('.csv', '.parquet')):
@@ -96,7 +95,8 @@ def _local_paths(source: str) -> Iterator[str]:
 
 
 def _recordings_in(path: Path, asked: bool = False) -> Iterator[str]:
-    """The recordings at or below `path`; asked: it was named itself, whatever it holds."""
+    """The recordings at or below `path`. asked: whether the user named this path, so that any file counts as a
+    recording."""
     if path.is_file():
         if path.name.endswith(SUFFIXES) or path.name.endswith(STATE_FILE) or asked:
             yield str(path)
@@ -125,7 +125,7 @@ def _remote_paths(source: str) -> Iterator[str]:
 
 
 def opened(url: str):
-    """The file system of `url` and the path in it. SourceError where fsspec or the driver is not installed."""
+    """The file system of `url`, and the path in it. SourceError if fsspec or the driver is not installed."""
     try:
         import fsspec
 
@@ -150,7 +150,7 @@ def _read_table(source: str, pattern) -> Iterator[Entry]:
 
 
 def _beside(table: str, path: str) -> str:
-    """A path of a table is relative to the table."""
+    """A path in a table, which may be relative to the folder of the table."""
     if not path or is_url(path) or Path(path).is_absolute():
         return path
     return f'{table.rpartition("/")[0]}/{path}' if is_url(table) else str(Path(table).parent / path)
@@ -180,8 +180,7 @@ def _parquet_rows(source: str) -> list[dict]:
 
 @contextmanager
 def local_copy(path: str) -> Iterator[Path]:
-    """`path` where it is local, else a copy of what it names, removed when the block ends. SourceError where it cannot
-    be read."""
+    """`path` if it is local, else a copy that is removed at the end of the block. SourceError if it cannot be read."""
     if not is_url(path):
         yield Path(path).expanduser()
         return
@@ -196,9 +195,9 @@ def local_copy(path: str) -> Iterator[Path]:
 
 
 def content_id(path: Path) -> str:
-    """What tells a recording, a params file or a reference from another: a digest of the bytes, whatever their names.
+    """Identity of a recording, a params file or a reference: a digest of its bytes, independent of its name.
 
-    Of a rosbag2 folder the files with messages count, in the order of their names.
+    Of a rosbag2 folder it is that of the files with messages, in the order of their names.
     """
     files = [path] if path.is_file() else [f for f in sorted(path.glob('*')) if f.name.endswith(SUFFIXES)]
     digest = hashlib.blake2b(digest_size=12)
@@ -209,13 +208,13 @@ def content_id(path: Path) -> str:
             while piece := stream.read(_PIECE):
                 size += len(piece)
                 digest.update(piece)
-    if not size:  # nothing is not the same as nothing
+    if not size:  # two empty files do not count as identical
         digest.update(str(path).encode())
     return digest.hexdigest()
 
 
 def size_and_time(path: str) -> tuple[int, str]:
-    """Bytes and time of change of what `path` names: where both are as before, so is the content."""
+    """Bytes and time of change of what `path` names. If both are unchanged, so is the content."""
     if is_url(path):
         system, there = opened(path)
         files = system.find(there) or [there]

@@ -1,7 +1,7 @@
 """The tables of a fleet: `recordings`, `results`, `outages`, `effects`, `findings`, as CSV and as Parquet.
 
-The same results give the same tables, bit for bit: rows are sorted, and nothing in them depends on when, where or in
-what order the work was done. A column is the same in each fleet, also where nothing stands in it.
+The same results give the same tables, bit for bit: rows are sorted, and do not depend on when, where or in what order
+the work was done. Every fleet has the same columns, even if a column is empty.
 """
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pathlib import Path
 from ..errors import InputError
 from ..results import result_folder, write_files
 
-#: where the tables stand below the output folder
+#: folder of the tables below the output folder
 FOLDER = 'tables'
 TEXT, NUMBER, COUNT, FLAG = 'text', 'number', 'count', 'flag'
 
 _ABOUT = {'vehicle': TEXT, 'recording_id': TEXT, 'params_file': TEXT, 'task': TEXT}
 _MODEL = {'model': TEXT, 'mechanization': TEXT, 'stage': TEXT}
-#: name of a table -> its columns and their types; what they mean: docs/fleet.md
+#: columns and their types of each table; docs/fleet.md describes them
 TABLES = {
     'recordings': {'vehicle': TEXT, 'recording': TEXT, 'recording_id': TEXT, 'task': TEXT, 'status': TEXT,
                    'error_id': TEXT, 'reason': TEXT, 'same_as': TEXT, 'begin_ns': COUNT, 'duration_s': NUMBER,
@@ -43,17 +43,17 @@ TABLES = {
 
 
 class TableError(InputError):
-    """Tables that cannot be read: one line that says why."""
+    """Tables that cannot be read; the text is one line with the reason."""
 
 
 def complete(table: str, rows: Iterable[dict]) -> list[dict]:
-    """The rows with every column of `table`, None where nothing is known, sorted."""
+    """The rows with every column of `table`, None for unknown values, sorted."""
     columns = TABLES[table]
     return sorted(({name: row.get(name) for name in columns} for row in rows), key=_order)
 
 
 def _order(row: dict) -> tuple:
-    """What is not known comes first."""
+    """Sort key: unknown values first."""
     return tuple([(value is not None, value) for value in row.values()])
 
 
@@ -67,16 +67,16 @@ def ready() -> bool:
 
 
 class Texts:
-    """The tables as text, which grow with each result: what is finished can be written at once.
+    """The tables as text, updated with each result, so that finished results can be written at once.
 
-    Rows stand in the order of the columns that all tables begin with, which are the same in the rows of one result.
+    Rows are sorted by the columns that all tables begin with, which are the same in all rows of one result.
     """
 
     def __init__(self):
         self._parts: dict[str, dict[tuple, str]] = {name: {} for name in TABLES}
 
     def add(self, name: str, rows: list[dict], of: str = '') -> None:
-        """Complete rows of the table `name`, instead of those that were there `of` the same result."""
+        """Set the rows of the table `name` that belong `of` one result."""
         found: dict[tuple, list[list[str]]] = {}
         for row in rows:
             cells = [cell_text(value) for value in row.values()]
@@ -93,7 +93,7 @@ class Texts:
 
 
 def write(output: Path, rows: dict[str, list[dict]]) -> str:
-    """Replace the tables in `output` (rows by name of the table); what is to be said of that, or ''."""
+    """Write the tables to `output` (rows by table name), replacing earlier ones. Returns a message, or ''."""
     texts, both = Texts(), ready()
     with result_folder(Path(output) / FOLDER, overwrite=True, marker='recordings.csv') as folder:
         for name in TABLES:
@@ -106,7 +106,7 @@ def write(output: Path, rows: dict[str, list[dict]]) -> str:
 
 
 def cell_text(value) -> str:
-    """A cell of a CSV table: a number as it is read again to the same number, nothing for None."""
+    """A cell of a CSV table: numbers such that they are read back exactly, nothing for None."""
     if value is None or isinstance(value, float) and not math.isfinite(value):
         return ''
     if isinstance(value, bool):
@@ -115,7 +115,7 @@ def cell_text(value) -> str:
 
 
 def _write_parquet(folder: Path, name: str, rows: list[dict]) -> None:
-    """One file for each vehicle, in a folder that tells it, as Hive, Spark, DuckDB and pandas read it."""
+    """One file for each vehicle, in a folder named like a partition of Hive, which Spark, DuckDB and pandas read."""
     import pyarrow
     from pyarrow import dataset
 
@@ -133,7 +133,7 @@ def _write_parquet(folder: Path, name: str, rows: list[dict]) -> None:
 
 
 def read(output: Path, name: str) -> list[dict]:
-    """The rows of the table `name` in the folder `output` of a fleet. TableError where it is none."""
+    """The rows of the table `name` in the output folder of a fleet. TableError if it has none."""
     path = Path(output) / FOLDER / f'{name}.csv'
     try:
         with open(path, encoding='utf-8', newline='') as file:

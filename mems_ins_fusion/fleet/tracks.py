@@ -1,5 +1,5 @@
-"""What other filters wrote: Odometry in a bag, TUM text, the text of KF-GINS, CSV, as one track that is measured as a
-run of this package is."""
+"""Trajectories of other filters (Odometry in a bag, TUM text, text of KF-GINS, CSV), measured like runs of this
+package."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -17,24 +17,24 @@ from ..recordings.reference_files import KF_GINS_NAVIGATION, read_reference
 from ..recordings.tables import read_text
 from ..samples import SECOND
 
-#: number of columns of a file with the standard deviations of KF-GINS: seconds, north, east, down, ...
+#: number of columns in a file of standard deviations by KF-GINS: seconds, north, east, down, ...
 #: Source: writeSTD of its src/kf_gins.cpp
 _KF_GINS_STD_COLUMNS = 22
-#: end of the name of such a file beside the navigation result
+#: end of the name of this file, beside the navigation result
 _STD = '.std'
 
 
 class TrackError(InputError):
-    """A trajectory that cannot be read: one line that says why."""
+    """A trajectory that cannot be read; the text is one line with the reason."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """The answers of a filter, (n,) each, with the names of `filter.runs.results.Run`, so that the same code measures
-    them.
+    """Trajectory of a filter, (n,) each, with the names of `filter.runs.results.Run`, so that the same code measures
+    it.
 
-    stamp: ns. latitude, longitude: rad. height: m. roll, pitch, yaw: rad. velocity: (n, 2) m/s north, east. sigma:
-    (n, 2) m north, east, NaN where the filter tells none; covariance_ne: m^2. behind: zeros: another filter knows of no
+    stamp: ns. latitude, longitude: rad. height: m. roll, pitch, yaw: rad. velocity: (n, 2) m/s north, east. sigma: (n,
+    2) m north, east, NaN if the filter gives none; covariance_ne: m^2. behind: zeros, as other filters do not model a
     receiver that smooths.
     """
 
@@ -56,10 +56,9 @@ class Track:
 
 def read_track(path, datum, topic: str = '', week: int = 0) -> Track:
     """The track in `path`: a bag with nav_msgs/Odometry, TUM text, a navigation result of KF-GINS (with its standard
-    deviations in a file beside it that ends in .std, where there is one), or CSV as `recordings.reference_files` reads
-    it. datum: rad, rad, m, of local coordinates. topic: of the odometry, '' where there is one only. week: of GPS,
-    where the file says 0. Raises TrackError, RecordingError.
-    """
+    deviations in the file beside it that ends in .std, if there is one), or CSV as read by
+    `recordings.reference_files`. datum: rad, rad, m, of local coordinates. topic: of the odometry; '' if there is only
+    one. week: GPS week if the file contains 0. Raises TrackError, RecordingError."""
     path = Path(path)
     if path.is_dir() or path.suffix in ('.mcap', '.db3', '.bag'):
         return _read_bag(path, datum, topic)
@@ -75,7 +74,7 @@ def read_track(path, datum, topic: str = '', week: int = 0) -> Track:
 
 
 def _numbers(path: Path) -> np.ndarray | None:
-    """The rows of a file that holds nothing but numbers, as many in each; None where it holds else."""
+    """The rows of a file that contains only numbers, the same count in each; None for other files."""
     try:
         rows = [line.split() for line in read_text(path, 'utf-8', 'replace').splitlines()
                 if line.strip() and not line.startswith(('#', '%'))]
@@ -93,7 +92,7 @@ def _kf_gins(rows: np.ndarray, deviations: np.ndarray | None, week: int) -> Trac
     if deviations is not None and deviations.shape[1] == _KF_GINS_STD_COLUMNS:
         sigma = np.column_stack([np.interp(second, deviations[:, 0], deviations[:, i]) for i in (1, 2)])
     angles = np.radians([latitude, longitude, roll, pitch, yaw])
-    # it tells no covariance of north and east
+    # the file has no covariance of north and east
     return _in_order(Track(stamp, angles[0], angles[1], height, *angles[2:], np.column_stack([v_n, v_e]), sigma,
                            np.where(np.isfinite(sigma[:, 0]), 0.0, np.nan)))
 
@@ -127,14 +126,15 @@ def _read_bag(path: Path, datum, topic: str) -> Track:
 
 
 def _roll_pitch(orientation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the body forward-right-down, rad, from quaternions (n, 4) forward-left-up to east-north-up."""
+    """Roll and pitch of the body (forward-right-down), rad, from quaternions (n, 4) of forward-left-up to
+    east-north-up."""
     x, y, z, w = orientation.T
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     return roll, -np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
 
 
 def _differences(reference) -> np.ndarray:
-    """Velocity north and east, (n, 2) m/s, from positions."""
+    """Velocity north and east, (n, 2) m/s, by differences of positions."""
     datum = reference.latitude[0], reference.longitude[0], reference.height[0]
     north, east, _ = to_local(reference.latitude, reference.longitude, reference.height, datum)
     time = (reference.stamp - reference.stamp[0]) * 1e-9
@@ -145,7 +145,7 @@ def _differences(reference) -> np.ndarray:
 
 
 def _in_order(track: Track) -> Track:
-    """By time, each time once."""
+    """Sorted by time, without duplicate times."""
     _, index = np.unique(track.stamp, return_index=True)
     return Track(**{name: array[index] for name, array in vars(track).items()})
 

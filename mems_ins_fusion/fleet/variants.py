@@ -1,5 +1,5 @@
-"""Recordings made from one: with fixes withheld, for filters that cannot be branched, and changed in ways that a
-filter's answers must follow, which needs no truth.
+"""Recordings made from one recording: with fixes withheld, for filters that cannot be copied at an outage; and changed
+in ways that the result of a filter must follow exactly, a test that needs no truth.
 
 Source of the second idea: T. Y. Chen, S. C. Cheung, S. M. Yiu, "Metamorphic testing: a new approach for generating next
 test cases", 1998.
@@ -17,18 +17,17 @@ from ..navigation.frames import mounting, wrap
 from ..recordings.several import later
 from ..samples import Recording
 
-#: all stamps are moved by this, ns
+#: ns by which all stamps are moved
 SHIFT = 1000
-#: of the body's axes forward, right, down: what a mirror that swaps left and right makes of a vector
+#: effect of a mirror that swaps left and right on a vector in body axes (forward, right, down)
 _MIRROR = np.diag([1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class Variant:
     """One way to change a recording. make: (recording, values of the parameters, datum) -> the changed recording. back:
-    (north, east) m of an answer to it -> those in the first world; shift: ns, by which its stamps are later.
-    parameters: of this package's filter for it. words: what is changed.
-    """
+    converts (north, east), m, of its result to those of the unchanged recording. shift: ns, by which its stamps are
+    later. parameters: of this package's filter for it. words: the change in words."""
 
     words: str
     make: Callable[[Recording, dict, tuple], Recording]
@@ -43,14 +42,14 @@ def shifted(recording: Recording, values: dict, datum: tuple) -> Recording:
 
 
 def turned(recording: Recording, values: dict, datum: tuple) -> Recording:
-    """The world turned clockwise by 90 degrees: what was north is east."""
+    """The world rotated clockwise by 90 degrees: north becomes east."""
     return _world(recording, datum, np.array([[0.0, -1.0], [1.0, 0.0]]), lambda yaw: yaw + np.pi / 2)
 
 
 def mirrored(recording: Recording, values: dict, datum: tuple) -> Recording:
     """East and west swapped, and left and right of the vehicle: its sensors measure what they would in that world."""
     reflect, imu = _reflection(values), recording.imu
-    # a rate is an axial vector: it turns the other way
+    # a rate is an axial vector: its sign is opposite
     imu = replace(imu, specific_force=imu.specific_force @ reflect.T, angular_rate=-imu.angular_rate @ reflect.T)
     return _world(replace(recording, imu=imu), datum, np.diag([1.0, -1.0]), lambda yaw: -yaw)
 
@@ -62,7 +61,7 @@ def _reflection(values: dict) -> np.ndarray:
 
 
 def halved(recording: Recording, values: dict, datum: tuple) -> Recording:
-    """Half the rate of the IMU: each two samples one, their mean at the time of the later one."""
+    """Half the rate of the IMU: each pair of samples is replaced by its mean, at the time of the later one."""
     imu, n = recording.imu, len(recording.imu) // 2 * 2
 
     def pairs(array):
@@ -74,8 +73,8 @@ def halved(recording: Recording, values: dict, datum: tuple) -> Recording:
 
 
 def _world(recording: Recording, datum: tuple, turn: np.ndarray, yaw: Callable) -> Recording:
-    """Positions, velocities and headings in another world. turn: (2, 2) of north and east. The orientation that an IMU
-    tells is left out: it would be of the first one."""
+    """Positions, velocities and headings in another world. turn: (2, 2) of north and east. The orientation in IMU
+    messages is removed, as it is that of the first world."""
     gnss, axes = recording.gnss, np.eye(3)
     north, east, down = to_local(gnss.latitude, gnss.longitude, gnss.height, datum)
     latitude, longitude, height = from_local(*(turn @ [north, east]), down, datum)
@@ -104,7 +103,7 @@ def _mirrored_parameters(values: dict) -> dict:
     return values | changed
 
 
-#: by name; an answer to each is turned back and held against the answer to the recording as it is
+#: by name; the result for each is transformed back and compared with that for the unchanged recording
 VARIANTS = {
     'shifted': Variant('stamps a microsecond later', shifted, lambda n, e: (n, e), shift=SHIFT),
     'turned': Variant('the world turned by 90 degrees', turned, lambda n, e: (e, -n)),
@@ -113,7 +112,8 @@ VARIANTS = {
 
 
 def withheld(recording: Recording, begins: np.ndarray, duration: float, time_offset: float = 0.0) -> Recording:
-    """`recording` without the fixes, and what else the receiver says, of the `duration` s after each of `begins` (ns).
+    """`recording` without the fixes and other measurements of the receiver in the `duration` s after each of `begins`
+    (ns).
 
     A fix at a begin is the last one before the outage. time_offset: s, as `gnss.time_offset`.
     """
@@ -129,7 +129,7 @@ def withheld(recording: Recording, begins: np.ndarray, duration: float, time_off
 
 
 def interleaved(fixes: np.ndarray, first: int, spacing: float, duration: float, recovery: float) -> list[np.ndarray]:
-    """Begins of outages, ns, in as few recordings as leave `recovery` s with fixes between two of them.
+    """Begins of outages, ns, for as few recordings as possible with `recovery` s with fixes between two outages.
 
     fixes: (n,) ns, stamps of the fixes, ascending. Outages begin at the first fix at or after `first`, `first` +
     spacing, ...: those of all recordings together are those of a replay.

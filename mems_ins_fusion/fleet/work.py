@@ -1,4 +1,4 @@
-"""One job, done in a process of its own: from recordings to a folder with `result.json`, and pages."""
+"""One job, done in a process of its own: from recordings to a folder with `result.json` and pages."""
 from __future__ import annotations
 
 import json
@@ -20,12 +20,12 @@ from .failures import OTHER_VERSION, WORKER_DIED, error_id, is_ours, reason
 from .jobs import Job, code, from_dict
 from .sources import content_id, local_copy, size_and_time
 
-#: the file of a result that is complete, and where the results stand below the output folder
+#: name of the file of a complete result, and folder of the results below the output folder
 RESULT, RESULTS = 'result.json', 'results'
 
 
 def identify(place: str) -> tuple[str, int, str] | None:
-    """Content, size and time of change of what `place` names; None where it cannot be read."""
+    """Identity, size and time of change of what `place` names; None if it cannot be read."""
     try:
         size, time = size_and_time(place)
         with local_copy(place) as path:
@@ -35,16 +35,16 @@ def identify(place: str) -> tuple[str, int, str] | None:
 
 
 def do(values: dict, output: str) -> str:
-    """Do the job `values` (see `jobs.from_dict`) and write its result below `output`; its id.
+    """Do the job `values` (see `jobs.from_dict`) and write its result below `output`. Returns its id.
 
-    Whatever goes wrong becomes a result that says so: nothing is raised but what ends the process.
+    Any error becomes a result that describes it. Only exceptions that end the process are raised.
     """
     work = from_dict(values)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter('ignore', RuntimeWarning)  # NumPy on values that no sensor delivers
+            warnings.simplefilter('ignore', RuntimeWarning)  # NumPy warnings about impossible values of sensors
             _do(work, Path(output) / RESULTS / work.id)
-    except ResultBusy:  # another shard has the same recording
+    except ResultBusy:  # another shard works on the same recording
         pass
     return work.id
 
@@ -71,7 +71,7 @@ class _OtherVersion(InputError):
 
 
 def died(values: dict, output: str) -> str:
-    """Write the result of a job whose worker ended, twice; its id."""
+    """Write the result of a job whose worker ended twice; returns its id."""
     work = from_dict(values)
     with result_folder(Path(output) / RESULTS / work.id, overwrite=True, marker=RESULT) as folder:
         write(folder, failed(WORKER_DIED, 'the worker process ended while it had this recording, twice (out of memory, '
@@ -88,7 +88,7 @@ def write(folder: Path, result: dict) -> None:
 
 
 def _run(work: Job, paths: list[Path], opened: ExitStack, folder: Path, known_as: Path) -> dict:
-    """The rows of the tables that `work` adds, and what is known of its recording."""
+    """The rows of the tables by `work`, and the columns of its recording."""
     given = params_file.load_files([opened.enter_context(local_copy(work.params_file))] if work.params_file else [])
     references = [str(opened.enter_context(local_copy(r))) if r else '' for r in work.references]
     given = given | {'memory_limit': work.options['memory_gb']}
@@ -118,7 +118,7 @@ def _replay(work: Job, paths, references, given, folder: Path, known_as: Path) -
 
 
 def _replayed(values: dict, known_as: Path):
-    """The comparison, what the checker found and what the reader said."""
+    """The comparison, the findings of the checker, and the messages of the reader."""
     from ..configuration.check import check
     from ..evaluation.comparison import compare
     from ..reports.replay import read_part
@@ -140,7 +140,8 @@ def _replayed_with_pages(values: dict, known_as: Path):
 
 
 def _checked(found, values: dict) -> list[dict]:
-    """What the checker found, as rows; of severity error only what makes the recording not usable with `values`."""
+    """The findings of the checker as rows; of severity error only those that make the recording unusable with `values`.
+    """
     from ..reports.verdict import certainly_wrong
 
     wrong = [id(f) for f in certainly_wrong(found, values)]
@@ -149,14 +150,14 @@ def _checked(found, values: dict) -> list[dict]:
 
 
 def _run_row(row: dict) -> dict:
-    """A row of `results`: no interval as a pair, and no times, which differ from run to run."""
+    """A row of `results`: without intervals as pairs, and without times, which differ from run to run."""
     low, high = row['horizontal_rmse_interval_m'] or (None, None)
     return _without(row, 'recording', 'filter_seconds', 'horizontal_rmse_interval_m') | {
         'horizontal_rmse_low_m': low, 'horizontal_rmse_high_m': high}
 
 
 def _shown_by_recording(recording) -> list[dict]:
-    """What a recording shows of its vehicle; nothing where `configure` could not use it."""
+    """Estimates from a recording alone, as rows; none if `configure` cannot use it."""
     from ..configuration.configure import look
 
     try:
@@ -166,7 +167,7 @@ def _shown_by_recording(recording) -> list[dict]:
 
 
 def _look(work: Job, paths, references, given, folder: Path, known_as: Path) -> dict:
-    """What the recording alone shows of its vehicle."""
+    """Estimates of `configure` from the recording alone."""
     result, said = _configured(paths)
     [drive] = result.drives
     rows = {'effects': shown_by(drive), 'results': [], 'outages': [],
@@ -179,7 +180,7 @@ def _look(work: Job, paths, references, given, folder: Path, known_as: Path) -> 
 
 
 def shown_by(drive) -> list[dict]:
-    """What one drive, as `configure` looked at it, shows of the vehicle, as rows of `effects`."""
+    """Estimates of `configure` from one drive as rows of `effects`."""
     rows, found = [], drive.mounting
     if found is not None:
         known = [True, True, found.yaw_known]
@@ -202,7 +203,7 @@ def shown_by(drive) -> list[dict]:
 
 
 def _noise_row(source: str, sensor: str, density, part: float) -> dict:
-    """The noise density of a sensor, the RMS of its axes (3,). part: its standard deviation, relative."""
+    """The noise density of a sensor, RMS of its axes (3,). part: its relative standard deviation."""
     value = float(np.sqrt(np.mean(np.square(density))))
     return effect_row(source, f'{sensor}_noise', 'density', value, value * part if math.isfinite(part) else None,
                       {'accelerometer': 'm/s^2/sqrt(Hz)', 'gyroscope': 'rad/s/sqrt(Hz)'}[sensor])
@@ -224,7 +225,7 @@ def _configure(work: Job, paths, references, given, folder: Path, known_as: Path
 
 
 def _configured(paths):
-    """What `configure` makes of the recordings, and what the reader said."""
+    """The result of `configure` for the recordings, and the messages of the reader."""
     from ..configuration.configure import configure
 
     with collected_warnings() as said:
@@ -246,8 +247,8 @@ def _diagnose(work: Job, paths, references, given, folder: Path, known_as: Path)
 
 
 def _drives(work: Job, paths, references, values: dict):
-    """The drives to be diagnosed, by content, and what is wrong with the others: those that cannot be read as the
-    parameters say, and those that are certainly wrong. Where no drive is good, all that could be read."""
+    """The drives to be diagnosed, by identity, and what is wrong with the others: those that cannot be read with these
+    parameters, and those that are certainly not usable. If no drive is good, all that could be read."""
     from ..reports.diagnosing import read_drive
 
     drives, findings, failed = {}, [], None
@@ -267,8 +268,8 @@ def _drives(work: Job, paths, references, values: dict):
 
 
 def diagnosed(content: dict, contents: dict[str, str]) -> dict:
-    """Rows of the tables from the `report.json` of a diagnosis. contents: by the names of the drives; a row of one
-    drive carries its content as `recording_id`."""
+    """Rows of the tables from the `report.json` of a diagnosis. contents: identities by the names of the drives; a row
+    of one drive has its identity as `recording_id`."""
     effects = []
     for effect in content['effects']:
         about = {'added': effect['added'], 'p_value': effect['p_value'], 'gain': effect['log_likelihood_gain'],
@@ -278,11 +279,11 @@ def diagnosed(content: dict, contents: dict[str, str]) -> dict:
             effects += [effect_row('diagnose', effect['name'], name, e['value'], e['sigma'], e['unit'], **about)
                         | {'recording_id': recording_id} for name, e in parameters.items()]
     common = {'model': content['model'], 'mechanization': content['mechanization']}
-    stages = [stage for stage in ('before', 'after') if stage in content]  # none of data that are not usable
+    stages = [stage for stage in ('before', 'after') if stage in content]  # data that are not usable have none
     numbers = ('horizontal_rmse_m', 'horizontal_p95_m', 'nis_mean')
     results = [common | {'stage': stage} | {name: content[stage].get(name) for name in numbers} for stage in stages]
     outages = [row | {'stage': stage} for stage in stages for row in content[stage]['outages']]
-    findings = []  # what the checker found stands beside each recording alone
+    findings = []  # findings of the checker are in the results of each recording
     if content.get('unexplained'):
         findings.append(_finding('diagnose', 'warning', '', 'a part of the innovations stays unexplained'))
     verdict = content['verdict']
@@ -306,7 +307,7 @@ def _characterize(work: Job, paths, references, given, folder: Path, known_as: P
     for sensor in SENSORS:
         white = [white_noise(axis, result.model) for axis in result.of(sensor)]
         density = np.array([w.value for w in white])
-        # each axis was fitted alone: their errors are independent
+        # each axis was fitted separately: their errors are independent
         part = float(np.linalg.norm([w.value * w.sigma for w in white])) / max(float(density @ density), 1e-30)
         rows.append(_noise_row('characterize', sensor, density, part))
     findings = [_finding('checker', f.severity, f.topic, f.message) for f in read.found] + _said('reader', read.said)
@@ -317,7 +318,7 @@ def _characterize(work: Job, paths, references, given, folder: Path, known_as: P
 
 
 def _parameters(values: dict):
-    """(effect, parameter, value) of each number among parameters; vectors one by one."""
+    """(effect, parameter, value) of each number among parameters; vectors by component."""
     for name, value in values.items():
         head, _, tail = name.rpartition('.')
         numbers = value if isinstance(value, list) else [value]

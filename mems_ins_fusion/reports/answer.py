@@ -35,11 +35,11 @@ class Step:
 
 @dataclass
 class Answer:
-    """What a person wants to know of a result.
+    """The summary of a result for a person.
 
-    grade: GOOD, WARNING or BAD. headline: one sentence. wrong: what is wrong, or not known. cost: in metres without
-    fixes. steps: what to do next. trust: whether to believe the filter's own sigmas. remains: what is left of it all.
-    why: what the headline stands on.
+    grade: GOOD, WARNING or BAD. headline: one sentence. wrong: what is wrong or unknown. cost: errors without fixes, m.
+    steps: what to do next. trust: whether the filter's sigmas are right. remains: what is not solved. why: the evidence
+    for the headline.
     """
 
     grade: str
@@ -53,17 +53,17 @@ class Answer:
 
     @property
     def label(self) -> str:
-        """What `wrong` is called: most of it only limits how good the result is."""
+        """Heading of `wrong`: most of its points only limit how good the result is."""
         return 'wrong' if self.grade == BAD else 'note'
 
     @property
     def noted(self) -> list[str]:
-        """`wrong` without what the headline says already."""
+        """`wrong` without the points of the headline."""
         return [text for text in self.wrong if text not in self.headline]
 
     def short(self) -> list[str]:
-        """For the console, in a few lines of WIDTH: the answer, what is wrong most, trust, and what to do next. What
-        to do is never cut."""
+        """The answer in a few console lines of WIDTH: headline, the most important point that is wrong, trust, and what
+        to do next, which is never shortened."""
         noted = self.noted
         wrong = [shorten(f'{self.label}: {noted[0]}', _more(len(noted) - 1))] if noted else []
         trust = [shorten(f'trust: {self.trust}')] if self.trust else []
@@ -74,7 +74,7 @@ class Answer:
         return [*head[:1], *([shorten(' '.join(head[1:]))] if head[1:] else []), *wrong, *trust, *steps]
 
     def lines(self) -> list[str]:
-        """For the console, all of it."""
+        """The whole answer as console lines."""
         parts = [('why', self.why), (self.label, self.wrong), ('error', self.cost),
                  ('trust', [self.trust] if self.trust else []), ('remains', self.remains)]
         said = [self.headline, *(f'{name}: {text}' for name, texts in parts for text in texts)]
@@ -83,7 +83,7 @@ class Answer:
         return said
 
     def html(self) -> Html:
-        """For the page, first of all: as on the console."""
+        """The answer for the top of the page, like that of the console."""
         parts = [(self.label, self.noted[:1]), ('error', self.cost[len(self.cost) // 2:][:1]),
                  ('trust', [self.trust] if self.trust else [])]
         lines = ''.join(f'<p><b>{name}:</b> {paragraph(text)[3:-4]}</p>' for name, texts in parts for text in texts)
@@ -92,7 +92,7 @@ class Answer:
                     '</section>')
 
     def evidence(self) -> Html:
-        """For the page, folded away: all that the answer holds."""
+        """The whole answer for the page, folded."""
         parts = [_part('Why', self.why), _part('What is wrong, or not known', self.wrong),
                  _part('Errors, with fixes and without', self.cost),
                  _part('Can its own uncertainty be trusted?', [self.trust] if self.trust else []),
@@ -102,7 +102,7 @@ class Answer:
 
     @property
     def first(self) -> list[Step]:
-        """The next thing to do: the first that can be typed."""
+        """The next thing to do: the first step that is a command."""
         return [s for s in self.steps if s.command][:1] or self.steps[:1]
 
     def _steps(self, steps: list[Step]) -> str:
@@ -112,15 +112,15 @@ class Answer:
         return ''.join(items) if len(items) == 1 else '<ol>' + ''.join(f'<li>{item}</li>' for item in items) + '</ol>'
 
     def json(self) -> dict:
-        """For report.json."""
+        """The answer for report.json."""
         return {'grade': self.grade, 'headline': self.headline, 'wrong': self.wrong, 'cost': self.cost,
                 'trust': self.trust, 'remains': self.remains, 'why': self.why,
                 'steps': [{'what': s.what, 'command': s.command} for s in self.steps]}
 
 
 def shorten(text: str, ending: str = '') -> str:
-    """`text` in one line of WIDTH with `ending`: where it has to be cut, at the end of a clause if one ends in the
-    second half of the line, never inside brackets, and else between words."""
+    """`text` in one line of WIDTH with `ending`. A longer text is cut at the end of a clause if one ends in the second
+    half of the line, otherwise between words, but never inside brackets."""
     room = WIDTH - len(ending)
     kept = textwrap.shorten(text, room, placeholder=_CUT)
     if not kept.endswith(_CUT):
@@ -135,11 +135,11 @@ def shorten(text: str, ending: str = '') -> str:
 
 
 def typed(command: str) -> list[str]:
-    """`command` in lines of WIDTH, which can be typed or copied as they are: it is never cut."""
+    """`command` in lines of WIDTH that can be typed or copied; it is never cut."""
     if len(command) <= WIDTH:
         return [command]
     lines = ['']
-    for word in re.findall(r"(?:'[^']*'|\S)+", command):  # what is quoted stays on one line
+    for word in re.findall(r"(?:'[^']*'|\S)+", command):  # quoted text stays on one line
         if lines[-1] and len(lines[-1]) + 1 + len(word) > WIDTH - 2:
             lines.append('   ')
         lines[-1] += f' {word}' if lines[-1] else word
@@ -157,17 +157,17 @@ def _part(title: str, texts: list[str]) -> str:
 
 
 def cure(wrong: Sequence[Remark], bags: Sequence[str]) -> Step:
-    """What to do about what is certainly wrong in recordings. bags: their paths."""
+    """What to do if recordings are certainly wrong. bags: their paths."""
     return let_configure(bags) if any(f.settings for f in wrong) else Step(
         'Correct this where the messages come from, and record again.')
 
 
 def let_configure(bags: Sequence[str]) -> Step:
-    """What to do where recordings contradict parameters. bags: paths."""
+    """What to do if recordings contradict parameters. bags: paths."""
     return Step('Let configure write a params file, or set by hand what is wrong:',
                 f'python -m mems_ins_fusion configure --bag {shlex.join(bags)} --output configured.yaml')
 
 
 def topics_of(values: dict) -> dict[str, str]:
-    """The topics by what the checker calls them. values: parameters."""
+    """The topics by the names that the checker uses. values: parameters."""
     return {name: values.get(f'{name}_topic', '') for name in _CHECKED}

@@ -31,8 +31,8 @@ from .verdict import change_text, held_text, verdict_json
 
 
 def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dict:
-    """The content of `report.json`: plain types, None for what is not known. answered: what `answer` said. checked:
-    what the checker found. warned: what reading said."""
+    """The content of `report.json`: plain types, None for unknown values. answered: result of `answer`. checked:
+    findings of the checker. warned: messages of the reader."""
     d = diagnosis
     model, mechanization = d.values['sensor_error_model'], d.values['mechanization']
     return plain({
@@ -64,8 +64,7 @@ def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dic
 
 
 def not_usable_report(names: Sequence[str], values: dict, verdict: Verdict, answered: Answer, checked, warned) -> dict:
-    """The content of `report.json` where the recordings `names` cannot be diagnosed as they are: no effect, no errors.
-    """
+    """The content of `report.json` if the recordings `names` cannot be diagnosed: no effect, no errors."""
     return plain({
         'recording': ', '.join(names), 'answer': answered.json(), 'verdict': verdict_json(verdict),
         'findings': _findings(checked, values), 'model': values['sensor_error_model'],
@@ -73,7 +72,7 @@ def not_usable_report(names: Sequence[str], values: dict, verdict: Verdict, answ
 
 
 def not_usable_page(names: Sequence[str], answered: Answer, checked, values: dict) -> str:
-    """The content of `report.html` there."""
+    """The content of `report.html` in this case."""
     return html.page(f'Diagnosis of {", ".join(names)}', [
         html.section('Use corrected.yaml?', answered.html()), answered.evidence(),
         html.folded('Recording', html.bullets(f['text'] for f in _findings(checked, values)))])
@@ -92,7 +91,7 @@ def _effect(finding: Finding) -> dict:
         'log_likelihood_gain': finding.gain,
         'p_value': finding.p,
         'added': finding.added,
-        # what is seen is not fitted: errors prove it, and no likelihood
+        # an observed effect is not fitted: it is proven by errors, not by a likelihood
         'held_out_log_likelihood_gain': None if finding.seen else finding.held_out.gain,
         'held_out_p_value': None if finding.seen else finding.held_out.p,
         'reason': finding.reason,
@@ -107,7 +106,7 @@ def _effect(finding: Finding) -> dict:
 
 
 def _drive(d: Diagnosis, drive: Diagnosis) -> dict:
-    """One of several drives, by name, as all of them together."""
+    """One of several drives, by name, in the form of all of them together."""
     return {
         'recording': drive.name,
         'before': _measured(drive, 'before', d.values),
@@ -131,23 +130,23 @@ def _measured(d: Diagnosis, stage: str, values: dict) -> dict:
 
 
 def _candidate(c: Candidate, d: Diagnosis) -> dict:
-    """What a test said; parameters that the recording does not determine are named and have no number."""
+    """Result of a test; parameters that the recording does not determine are named without a number."""
     return {'name': c.name, 'score_gain': c.gain, 'p_value': c.p, 'p_adjusted': c.p_adjusted,
             'parameters': {name: asdict(estimate) for name, estimate in _tested(c, d).items()},
             'undetermined': c.undetermined}
 
 
 def _tested(c: Candidate, d: Diagnosis) -> dict[str, Estimate]:
-    """One-step estimates of the parameters that a candidate determines, then and in the end."""
+    """One-step estimates of the parameters that a candidate determines, at the time of the test and at the end."""
     units = {p.name: p.unit for p in c.effect.traced}
     return {u.parameter: Estimate(*u.meant(float(value), float(sigma)), units[u.parameter])
             for u, value, sigma in zip(c.unknowns, c.theta, c.sigma) if u.name not in d.hidden}
 
 
 def not_identifiable(d: Diagnosis) -> dict[str, str]:
-    """Effects, and single parameters of effects, that the data cannot show, and why.
+    """Effects, and single parameters of effects, that the data do not determine, and why.
 
-    An effect of which no parameter is determined is named as a whole.
+    An effect without any determined parameter is named as a whole.
     """
     found = dict(d.hidden)
     for c in d.rounds[-1] if d.rounds else []:
@@ -159,11 +158,11 @@ def not_identifiable(d: Diagnosis) -> dict[str, str]:
 
 
 def changed(d: Diagnosis) -> dict:
-    """The parameters that the diagnosis changed, as `corrected.yaml` holds them: to 4 significant digits."""
+    """The parameters that the diagnosis changed, with 4 significant digits as in `corrected.yaml`."""
     return {name: rounded_value(value) for name, value in d.corrected.items() if value != d.values[name]}
 
 
-#: of the largest of several numbers, what the rounding of a computation leaves
+#: share of the largest of several numbers below which a number is a rounding error
 NOTHING = 1e-6
 
 
@@ -176,9 +175,9 @@ def rounded_value(value, digits: int = 4):
 
 
 def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
-    """The params file with what was found: what was `given` (by full name), what changed, and where that is from.
+    """The params file with the corrections: the `given` values (by full name), the changes, and their origin.
 
-    Where nothing is proven to be better, what was given.
+    If nothing is proven to be better, the given values.
     """
     d = diagnosis
     new = changed(d)
@@ -197,13 +196,13 @@ def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
         if name in new:
             lines += _comment(origin(d, name), '    ')
         lines.append(f'    {name}: {yaml_value(value)}')
-    # an empty mapping would be no parameters file
+    # a file with an empty mapping would not be a params file
     lines += [] if checked or new else [f'    imu_topic: {yaml_value(d.values["imu_topic"])}']
-    return '\n'.join(lines).replace('\N{PLUS-MINUS SIGN}', '+-') + '\n'  # plain ASCII: not every reader knows better
+    return '\n'.join(lines).replace('\N{PLUS-MINUS SIGN}', '+-') + '\n'  # plain ASCII, for all readers
 
 
 def origin(d: Diagnosis, name: str) -> str:
-    """Where the changed value of parameter `name` comes from."""
+    """Origin of the changed value of parameter `name`."""
     if name == 'fitted_to':
         return 'hashes of the recordings that the values were fitted to'
     before = yaml_value(rounded_value(d.values[name]))
@@ -223,13 +222,13 @@ def capital(text: str) -> str:
 
 
 def parameters_text(finding: Finding) -> str:
-    """An effect with its values, for a person."""
+    """An effect with its values in words."""
     values = ', '.join(f'{name} {estimate.text()}' for name, estimate in finding.parameters.items())
     return f'{finding.name} ({values or "its parameters are not determined"})'
 
 
 def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
-    """The diagnosis in words: all of the answer, then how it came about."""
+    """The diagnosis in words: the whole answer, then the steps that led to it."""
     d = diagnosis
     lines = [*answered.lines(), '', f'{d.name}: {d.detections["before"].count} innovations', 'As configured: '
              + ' '.join(d.detections['before'].words())]
@@ -244,7 +243,7 @@ def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
 
 
 def this(d: Diagnosis) -> str:
-    """What was diagnosed, in a sentence."""
+    """The subject of the diagnosis in a sentence."""
     return 'these recordings' if d.drives else 'this recording'
 
 
@@ -285,8 +284,7 @@ def unexplained_text(d: Diagnosis) -> str:
 
 
 def cost(d: Diagnosis) -> list[str]:
-    """What an outage costs, as configured and with corrected.yaml, in words; and how often its ellipse held the truth.
-    """
+    """Errors in outages, as configured and with corrected.yaml, in words; and the share of them inside the ellipse."""
     held = {h.duration: held_text(h) for h in d.trust.held}
     if d.changed:
         said = {c.duration: change_text(c, d.verdict.level) for c in changes(d.before, d.after)}
@@ -298,7 +296,7 @@ def cost(d: Diagnosis) -> list[str]:
 
 
 def report_html(diagnosis: Diagnosis, given: dict, answered: Answer, checked=(), warned=()) -> str:
-    """The content of `report.html`: the answer and the track, then the evidence, folded away; given: as for
+    """The content of `report.html`: the answer and the track, then the evidence in folded sections. given: as for
     `corrected_yaml`."""
     d = diagnosis
     count = d.detections['before'].count
@@ -331,7 +329,7 @@ def _over_time(d: Diagnosis, of: str = '') -> html.Html:
 
 
 def _drives(d: Diagnosis) -> html.Html:
-    """Tables of several drives: their errors before and after, and what each says of the effects."""
+    """Tables of several drives: their errors before and after, and their separate estimates of the effects."""
     rows = []
     for drive in d.drives:
         problem = drive.problem
@@ -386,7 +384,7 @@ def _tests(d: Diagnosis, stages) -> html.Html:
 
 
 def _p(value: float) -> str:
-    """A p value, as people write it."""
+    """A p value as text."""
     return '< 0.001' if value < 0.001 else html.number(value, 2)
 
 

@@ -1,4 +1,4 @@
-"""The answer of a diagnosis: whether to use corrected.yaml, by its own held-out numbers, and what to do."""
+"""The answer of a diagnosis: whether to use corrected.yaml, by its results on held-out data, and what to do."""
 from __future__ import annotations
 
 import shlex
@@ -19,7 +19,7 @@ from .diagnosis import capital, changed, cost, origin, rounded_value, this, unex
 from .effect_words import check, looks_the_same, size, what
 from .verdict import because, change_text, trust_text
 
-#: seen, not fitted, and with a size that the text of what is seen does not have
+#: effects that are observed, not fitted, and whose text does not contain their size
 WITH_SIZE = {MOUNTING}
 
 
@@ -27,14 +27,14 @@ def answer(diagnosis: Diagnosis, checked: list[Remark], output: str, bags: Seque
            params_file: str = YOURS) -> Answer:
     """Whether to use corrected.yaml, what was wrong, what it costs, what remains, what to do.
 
-    checked: what the checker found. output: folder of the results, bags: paths of the recordings, params_file: what was
-    given; for the commands.
+    checked: findings of the checker. output: folder of the results. bags: paths of the recordings. params_file: as
+    given, for the commands.
     """
     d = diagnosis
     out = [f'{name} was left out: {why}' for name, why in d.left_out.items()]
     found = [found_text(f, d) for f in d.findings if f.added] + settings_texts(d)
     shown = [shown_text(d.detections['before'])] if d.detections['before'].lacking else []
-    # what is corrected needs no warning; what names a parameter says more than what innovations show
+    # no warning for what is corrected; messages with a parameter come before those on innovations
     said = [f for f in checked if f.severity != INFO and not set(f.settings) & set(changed(d))]
     to_set, said = ([checked_text(f, topics_of(d.values)) for f in said if bool(f.settings) == wanted]
                     for wanted in (True, False))
@@ -50,8 +50,7 @@ def answer(diagnosis: Diagnosis, checked: list[Remark], output: str, bags: Seque
 
 
 def _grade(d: Diagnosis, lacking: bool) -> str:
-    """lacking: whether innovations show that something is wrong. A file that is changed without a proven gain is no
-    good news."""
+    """lacking: whether innovations show that something is wrong. A changed file without a proven gain is not GOOD."""
     untrue = d.trust.answer == NO
     if d.better:
         return WARNING if untrue else GOOD
@@ -59,9 +58,9 @@ def _grade(d: Diagnosis, lacking: bool) -> str:
 
 
 def not_usable(found: list[Remark], values: dict, bags: Sequence[str]) -> tuple[Verdict, Answer]:
-    """The answer where something in the recording is certainly wrong, so that no effect can be estimated from it.
+    """The answer if something in the recording is certainly wrong, so that no effect can be estimated from it.
 
-    found: of severity error. values: parameters. bags: paths of the recordings, for the command.
+    found: findings of severity error. values: parameters. bags: paths of the recordings, for the command.
     """
     said = [checked_text(f, topics_of(values)) for f in found]
     verdict = Verdict(NOT_USABLE, why=tuple(said))
@@ -69,7 +68,7 @@ def not_usable(found: list[Remark], values: dict, bags: Sequence[str]) -> tuple[
 
 
 def found_text(f: Finding, d: Diagnosis) -> str:
-    """What was found: what it is, how sure, what corrected.yaml does about it, and what that gains."""
+    """What was found: the effect, its certainty, what corrected.yaml does about it, and the gain."""
     also = f' {capital(looks_the_same(f.name))}.' if looks_the_same(f.name) and f.parameters else ''
     size_first = not f.seen or f.name in WITH_SIZE
     said = f'{_size(f, d)}: {what(f.name)}' if size_first else f'{what(f.name)}: {f.seen}'
@@ -77,7 +76,7 @@ def found_text(f: Finding, d: Diagnosis) -> str:
 
 
 def settings_texts(d: Diagnosis) -> list[str]:
-    """What corrected.yaml changes besides effects, and why."""
+    """Other changes in corrected.yaml, and the reasons."""
     of_effects = {name for f in d.findings if f.added for name in f.changes} - set(d.noise)
     return [f'corrected.yaml sets {name} to {_shown(value)}: {origin(d, name)}.'
             for name, value in changed(d).items() if name not in of_effects]
@@ -88,13 +87,13 @@ def _shown(value) -> str:
 
 
 def _group(f: Finding, d: Diagnosis) -> str:
-    """What it may be instead."""
+    """Effects that it may be instead."""
     others = [what(name) for name in f.group if name != f.name]
     return f' ({capital(this(d))} cannot tell it from: {"; ".join(others)}.)' if others else ''
 
 
 def _size(f: Finding, d: Diagnosis) -> str:
-    """How large it is, or why that is not told; where it was not fitted, what shows it."""
+    """Its size, or why it is not given; of an effect that was not fitted, the evidence."""
     if 'mechanization' in f.changes:
         return 'as the attitude of the strapdown mechanization shows'
     sizes = ', '.join(size(f.name, name, estimate) for name, estimate in f.parameters.items())
@@ -106,7 +105,7 @@ def _size(f: Finding, d: Diagnosis) -> str:
 
 
 def _change(f: Finding, d: Diagnosis) -> str:
-    """The new values, and those before."""
+    """The new values, and the earlier ones."""
     new = changed(d)
     said = [f'{name} to {_shown(new[name])} (it was {_shown(d.values[name])})'
             for name in f.changes if name in new and name not in d.noise]
@@ -114,7 +113,8 @@ def _change(f: Finding, d: Diagnosis) -> str:
 
 
 def _saves(f: Finding) -> str:
-    """What it gains beside what was found before it: in metres it would stand beside other ones of other outages."""
+    """The gain over what was found before, as a ratio: metres would be those of other outages than in the rest of the
+    page."""
     if f.saves is None or not f.saves[1]:
         return ''
     duration, before, after = f.saves
@@ -126,7 +126,7 @@ def _saves(f: Finding) -> str:
 
 
 def shown_text(detection: Detection) -> str:
-    """What the innovations of the filter as configured show, without the words of statistics."""
+    """What the innovations of the filter as configured show, without terms of statistics."""
     said = []
     if detection.nis_mean > detection.nis_bounds[1]:
         said.append(f'the fixes lie {np.sqrt(detection.nis_mean / 2):.2g} times as far from where it expects them as '
@@ -139,7 +139,7 @@ def shown_text(detection: Detection) -> str:
 
 
 def tried_text(f: Finding, d: Diagnosis) -> str:
-    """What looked like an effect and is none, or none that helps."""
+    """Candidates that are no effect, or whose correction does not help."""
     if f.seen:
         return f'{capital(what(f.name))}: {f.seen}. Nothing is changed: {f.reason}.'
     sizes = ', '.join(size(f.name, name, estimate) for name, estimate in f.parameters.items())
@@ -148,8 +148,8 @@ def tried_text(f: Finding, d: Diagnosis) -> str:
 
 
 def headline(verdict: Verdict, changed: bool = False, tried: str = 'what was found') -> str:
-    """Whether to use what was found, with the interval that says so. changed: corrected.yaml is another file than
-    the one given. tried: what the verdict is on."""
+    """Whether to use the correction, with the interval of its gain. changed: whether corrected.yaml differs from the
+    given file. tried: what the verdict refers to."""
     if verdict.answer == NOT_USABLE:
         return f'Not usable: {verdict.why[0]}'
     if verdict.shown is None:

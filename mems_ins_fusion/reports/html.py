@@ -1,10 +1,10 @@
-"""Self-contained HTML reports: one file with its figures inside, no network, readable on a phone and on paper too.
+"""Self-contained HTML reports: one file with its figures inside, no network, readable on a phone and on paper.
 
     parts = [section('Allan deviation', paragraph('...'), figure(fig, 'Allan deviation of the gyroscopes'))]
     path.write_text(page('IMU at rest', parts, summary='record_1, 2.8 h'), encoding='utf-8')
 
-The answer stands first (`answer.py`), evidence after it is folded away (`folded`). Text is escaped; the parts of a page
-are `Html`, which is not. The only script is that of the interactive track (`track.py`).
+The answer comes first (`answer.py`); evidence follows in folded sections (`folded`). Plain text is escaped; `Html` is
+not. The only script is that of the interactive track (`track.py`).
 """
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from pathlib import Path
 
 
 class Html(str):
-    """Text that is HTML already. A plain str given in its place is escaped."""
+    """Text that is HTML already. A plain str is escaped instead."""
 
 
-#: inches, width of a phone's screen on which 10 points are as large as on paper
+#: inches, width of a figure for phones, on which letters of 10 points are as large as on paper
 PHONE = 4.2
-#: inches, height of a panel there
+#: inches, height of a panel in it
 PANEL = 1.9
-#: width of a letter as a part of its height, on average
+#: mean width of a letter as a share of its height
 LETTER = 0.55
 #: points, height of the letters of a legend below all axes
 _LEGEND = 8
@@ -53,9 +53,9 @@ def section(title: str, *parts: str) -> Html:
 
 
 def folded(title: str, *parts: str) -> Html:
-    """A section of which only the heading shows until it is opened, and on paper."""
+    """A section of which only the heading is shown until it is opened; on paper all of it."""
     body = '\n'.join(p if isinstance(p, Html) else paragraph(p) for p in parts if p)
-    # a link to what is inside of `details` opens it
+    # a link to a place inside `details` opens it
     return Html(f'<details>\n<summary><h2>{_text(title)}</h2></summary>\n<div id="{_anchor(title)}">\n{body}\n</div>\n'
                 '</details>')
 
@@ -72,12 +72,12 @@ def note(text: str, kind: str = 'note') -> Html:
 
 
 def preformatted(text: str) -> Html:
-    """Text as it stands: a command, a file."""
+    """Text with its line breaks: a command, a file."""
     return Html(f'<pre>{_text(text)}</pre>')
 
 
 def command(text: str) -> Html:
-    """A command to type: lines break between its words only."""
+    """A command to type: lines break only between its words."""
     words = ' '.join(f'<span>{_text(word)}</span>' for word in text.split(' '))
     return Html(f'<pre class="command">{words}</pre>')
 
@@ -87,10 +87,10 @@ def bullets(items) -> Html:
 
 
 def table(columns, rows, caption: str = '', digits: int = 3) -> Html:
-    """A table; numbers right-aligned to `digits` significant digits, None and NaN as a dash.
+    """A table; numbers right-aligned with `digits` significant digits, None and NaN as a dash.
 
-    columns: headings, units included. rows: sequences of str, numbers or None, one per column. On a narrow page each
-    row becomes a block of its own, with the heading before each cell; of two columns it stays a row.
+    columns: headings with units. rows: sequences of str, numbers or None, one per column. On a narrow page each row
+    becomes a block with the heading before each cell; a table of two columns does not change.
     """
     rows = [list(row) for row in rows]
     wrong = next((row for row in rows if len(row) != len(columns)), None)
@@ -108,7 +108,7 @@ def table(columns, rows, caption: str = '', digits: int = 3) -> Html:
 
 
 def empty_figure(width: float, height: float):
-    """A Matplotlib figure without a window, inches. Matplotlib is imported only where a figure is drawn."""
+    """A Matplotlib figure without a window; size in inches. Matplotlib is imported only if a figure is drawn."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout='constrained')
@@ -117,14 +117,13 @@ def empty_figure(width: float, height: float):
 def figure(drawing, caption: str = '', narrow: bytes = b'') -> Html:
     """A Matplotlib figure, or the bytes of a PNG, embedded.
 
-    narrow: the PNG for phones (`narrow_bytes`), where `drawing` is bytes. The caption is the image's text alternative
-    too.
+    narrow: the PNG for phones (`narrow_bytes`), if `drawing` is bytes. The caption is also the text alternative.
     """
     data = drawing if isinstance(drawing, bytes) else image_bytes(drawing)
     label = f'<figcaption>{_text(caption)}</figcaption>' if caption else ''
     small = narrow if narrow or isinstance(drawing, bytes) else narrow_bytes(drawing)
     image = f'<img src="{_png_url(data)}" alt="{_text(caption)}">'
-    # two images and not two sources of a picture: what a phone has chosen by its width, it prints, too
+    # two images, not two sources of a picture: a phone would also print the source that it has chosen by its width
     phone = f'<img class="narrow" src="{_png_url(small)}" alt="{_text(caption)}">' if small else ''
     return Html(f'<figure>{image}{phone}{label}</figure>')
 
@@ -134,22 +133,22 @@ def _png_url(data: bytes) -> str:
 
 
 def image_bytes(drawing, dpi: int = 120) -> bytes:
-    """A Matplotlib figure as PNG, the same bytes for the same figure."""
+    """A Matplotlib figure as PNG; the bytes depend only on the figure."""
     buffer = io.BytesIO()
     drawing.savefig(buffer, format='png', dpi=dpi, metadata={'Software': None})
     return buffer.getvalue()
 
 
 def narrow_bytes(drawing) -> bytes:
-    """A Matplotlib figure as PNG for a screen of PHONE inches, where letters keep their size: panels that stand three
-    and more in a row stand below each other, legends of panels stand below all, in fewer columns, labels break into
-    lines. The last that is drawn of the figure, as it stays so."""
+    """A Matplotlib figure as PNG for phones, with letters of the usual size: three or more panels in a row are put
+    below each other, legends of panels below all panels, in fewer columns, and labels are broken into lines. This
+    changes the figure, so it has to be the last output of it."""
     width, height = drawing.get_size_inches()
     rows = _stacked(drawing)
     below = bool(drawing.legends or len(drawing.axes) > 1 and _with_legend(drawing))
     beside = 0.2 * len(_legend_of(drawing)[1]) if below else 0.0
     drawing.set_size_inches(PHONE, PANEL * rows + beside if rows else min(max(1.4 * PHONE * height / width, 3.0), 7.0))
-    labels = [(text, 0.9 * PHONE) for text in drawing.texts]  # and the room of each, inches
+    labels = [(text, 0.9 * PHONE) for text in drawing.texts]  # and the width for each, inches
     for axes in drawing.axes:
         place = axes.get_position()
         wide, high = place.width * PHONE, place.height * drawing.get_figheight()
@@ -165,8 +164,8 @@ def narrow_bytes(drawing) -> bytes:
 
 
 def _stacked(drawing) -> int:
-    """Put panels that stand three and more in a row into two columns, or one where some are wider than others; the
-    number of rows, 0 where nothing was done."""
+    """Put three or more panels in a row into two columns, or one if their widths differ. Returns the number of rows, 0
+    if nothing was changed."""
     from matplotlib.gridspec import GridSpec
 
     grid = drawing.axes[0].get_subplotspec().get_gridspec()
@@ -178,18 +177,18 @@ def _stacked(drawing) -> int:
     for place, axes in enumerate(drawing.axes):
         axes.set_subplotspec(stack[divmod(place, columns)])
         axes.tick_params(labelbottom=True, labelsize=_SMALL)
-        axes.title.set(x=1.0, ha='right')  # at the left a power of ten may stand
+        axes.title.set(x=1.0, ha='right')  # a power of ten may be at the left
     return rows
 
 
 def legend_below(drawing) -> None:
-    """The figure's legend below all axes, in as many columns as its width has room for: what panels with a legend show,
-    which goes there, or else what the first ones show.
-    (`loc='outside lower center'`, which is the like, came with matplotlib 3.7.)"""
+    """A legend of the figure below all axes, in as many columns as fit its width. It has the entries of the panels'
+    legends, which are removed, or of the first panels without one. (matplotlib 3.7 has `loc='outside lower center'` for
+    this.)"""
     handles, labels = _legend_of(drawing)
     for legend in [*drawing.legends, *(axes.get_legend() for axes in _with_legend(drawing))]:
         legend.remove()
-    widest = 0.5 + LETTER * _LEGEND / 72.0 * max(map(len, labels))  # inches, with the line beside it
+    widest = 0.5 + LETTER * _LEGEND / 72.0 * max(map(len, labels))  # inches, including the line
     columns = max(min(int(drawing.get_figwidth() / widest), 4), 1)
     bottom = (0.15 + 0.18 * -(-len(labels) // columns)) / drawing.get_figheight()
     drawing.get_layout_engine().set(rect=(0.0, bottom, 1.0, 1.0 - bottom))
@@ -201,13 +200,13 @@ def _with_legend(drawing) -> list:
 
 
 def _legend_of(drawing) -> tuple[list, list[str]]:
-    """Lines and names of the legend below all axes."""
+    """Lines and names for the legend below all axes."""
     shown = [axes.get_legend_handles_labels() for axes in _with_legend(drawing) or drawing.axes[:1]]
     return [line for lines, _ in shown for line in lines], [name for _, names in shown for name in names]
 
 
 def number(value, digits: int = 4) -> str:
-    """`value` as people write it: `digits` significant digits, 1380 and not 1.38e+03, a dash for none.
+    """`value` with `digits` significant digits, as 1380 and not 1.38e+03; a dash for None.
 
     Powers of ten only from 10 million on and below a ten-thousandth.
     """
@@ -233,7 +232,7 @@ def _cell(value, digits) -> str:
         return 'yes' if value else 'no'
     if _is_number(value):
         return number(value, digits)
-    return _text(value).replace('_', '_<wbr>')  # where a long name may go on in the next line
+    return _text(value).replace('_', '_<wbr>')  # a long name may be broken there
 
 
 def _text(value) -> str:

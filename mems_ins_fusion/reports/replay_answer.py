@@ -1,4 +1,4 @@
-"""What the numbers of a comparison say, in sentences: the answer first, then what the models do."""
+"""The results of a comparison in sentences: the answer first, then the models."""
 from __future__ import annotations
 
 import shlex
@@ -29,19 +29,19 @@ from .html import number
 from .replay_figures import model_name
 from .verdict import certainly_wrong, change_text, too_small_text, trust_text
 
-#: differences smaller than this part are of no practical meaning, however significant
+#: relative difference below which a significant difference is not relevant
 PRACTICAL = 0.02
-#: a truth whose own error is more than this part of the error is mentioned
+#: ratio of the error of the truth to that of the filter above which it is mentioned
 NOISY_TRUTH = 0.3
-#: ratio of the errors to what the sigmas say that, if it is certain, makes a filter a bad one
+#: ratio of the errors to their sigmas that, if significant, makes the answer bad
 FAR_TOO_LARGE = 2.0
-#: a part of the fixes not used that is worth a word
+#: share of unused fixes above which it is mentioned
 REFUSED = 0.02
 
 
 def best_model(comparison: Comparison, configured: str) -> str:
-    """The `configured` model, where it was replayed and no other is better for certain and noticeably; else the one
-    with the smallest error in the longest outages, or at the longest interval where there are none."""
+    """The `configured` model if it was replayed and no other is significantly and noticeably better; else the one with
+    the smallest error in the longest outages, or at the longest interval if there are none."""
     outages = {r.model: rms(r.outages.max_error) for r in comparison.outages
                if len(r.outages.begin) and r.outages.duration == comparison.durations[-1]}
     error = outages or {m: rms(comparison.run_of(m, comparison.intervals[-1]).errors.horizontal)
@@ -57,8 +57,8 @@ def best_model(comparison: Comparison, configured: str) -> str:
 
 
 def judged(comparison: Comparison, remarks: list[Remark], values: dict, where: str = '') -> Verdict:
-    """Whether the filter is better than doing without it: than the last velocity kept, in the outages. It is judged by
-    its best model. where: the recording's name, beside others."""
+    """Whether the filter, with its best model, is better in outages than keeping the last velocity. where: name of the
+    recording, if there are several."""
     wrong = tuple(checked_text(f, topics_of(values)) for f in certainly_wrong(remarks, values))
     if wrong:
         return Verdict(NOT_USABLE, why=wrong)
@@ -70,8 +70,8 @@ def judged(comparison: Comparison, remarks: list[Remark], values: dict, where: s
 
 
 def consistencies(comparison: Comparison, values: dict) -> list[Consistency]:
-    """The errors of the best model against its own sigmas: with fixes (against the innovations where there is no truth
-    but them) and in outages."""
+    """Errors of the best model over its sigmas: with fixes (by the innovations if the fixes are the only truth) and in
+    outages."""
     best = best_model(comparison, values['sensor_error_model'])
     result = comparison.run_of(best, comparison.intervals[0])
     with_fixes = result.errors.nees if result.independent else result.run.innovations.nis
@@ -80,25 +80,25 @@ def consistencies(comparison: Comparison, values: dict) -> list[Consistency]:
 
 
 def answer(comparison: Comparison, remarks: list[Remark], values: dict, bag: str, params_file: str) -> Answer:
-    """Is the filter good here, what is wrong, what it costs, what to do, by the best model.
+    """Whether the filter is good on this recording, what is wrong, what it costs, what to do, by the best model.
 
     values: parameters. bag, params_file: for the commands.
     """
     best = best_model(comparison, values['sensor_error_model'])
     outages = [r for r in comparison.outages if r.model == best and len(r.outages.begin)]
-    # what names a parameter to set comes first: it can be cured
+    # points with a parameter to set come first
     told = sorted((f for f in remarks if f.severity != INFO), key=lambda f: not f.settings)
     said = [checked_text(f, topics_of(values)) for f in told]
     verdict, trust = judged(comparison, remarks, values), trusted(consistencies(comparison, values))
     wrong = [*said, *_refused(comparison, best)]
-    if trust.answer == NO and verdict.answer == WORSE:  # else the headline says it
+    if trust.answer == NO and verdict.answer == WORSE:  # otherwise it is in the headline
         wrong.insert(0, f'Its sigmas are too small: {too_small_text(trust)}.')
     if verdict.fitted_here:
         wrong.insert(0, 'The parameters were fitted to this very recording: on another drive errors will be larger.')
     grade = _grade(verdict, trust)
     accuracy = _accuracy(comparison, best, values['fixes_until'])
     costs = [*accuracy, *_cost(outages)]
-    if verdict.answer == NOT_USABLE:  # what sigmas are worth on wrong data is no answer
+    if verdict.answer == NOT_USABLE:  # on wrong data the sigmas mean nothing
         return Answer(grade, _headline(verdict, trust, accuracy), wrong, costs,
                       [cure(certainly_wrong(remarks, values), [bag])])
     steps = _steps(grade, comparison, best, values, bag, params_file)
@@ -130,7 +130,8 @@ def _headline(verdict: Verdict, trust: Trust, accuracy: list[str]) -> str:
 
 
 def _accuracy(comparison: Comparison, best: str, fixes_until: float) -> list[str]:
-    """Where 95 % of the positions are that the filter was not given."""
+    """Sentence on the horizontal error that 95 % of the positions do not exceed, against a truth that the filter was
+    not given."""
     result = next((r for r in comparison.runs if r.model == best and r.independent), None)
     if result is None:
         return []
@@ -145,7 +146,7 @@ def _truth_name(comparison: Comparison) -> str:
 
 
 def _refused(comparison: Comparison, best: str) -> list[str]:
-    """Fixes given to the filter after its start that it did not use."""
+    """Fixes after the start that the filter did not use."""
     run = comparison.run_of(best, comparison.intervals[0]).run
     given = comparison.fixes_given[comparison.intervals[0]]
     given = given[(given >= run.stamp[0]) & (given <= run.stamp[-1])]
@@ -191,13 +192,13 @@ def _steps(grade: str, comparison: Comparison, best: str, values: dict, bag: str
 
 
 def sentences(comparison: Comparison) -> list[str]:
-    """Sentences on one recording: models, update intervals, turns, outages, and the filter's opinion of itself."""
+    """Sentences on one recording: models, update intervals, turns, outages, and consistency of the sigmas."""
     parts = (_truth, _models, _intervals, _turns, _outages, _consistency)
     return [sentence for part in parts for sentence in part(comparison)]
 
 
 def _truth(comparison: Comparison) -> list[str]:
-    """What the truth is not good for."""
+    """Limits of the truth."""
     sentences = []
     own = [r.interval for r in comparison.runs if not r.independent]
     if own:

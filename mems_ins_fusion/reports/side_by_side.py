@@ -1,4 +1,4 @@
-"""Two replays side by side: paired statistics, one page. What `compare` does but its options."""
+"""Two replays side by side: paired statistics and one page; the work of the tool `compare`."""
 from __future__ import annotations
 
 import csv
@@ -35,14 +35,14 @@ from .verdict import because, change_text, span_text, trust_text, verdict_json
 
 
 class CompareError(InputError):
-    """Two results that cannot be compared: one line that says why."""
+    """Two results that cannot be compared; the text is one line with the reason."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """Errors by time: stamp (n,) ns, error (n,) m, and east and north of truth and estimate, (n, 2) m; independent: the
-    truth is more than the fixes that the filter was given. Of outages the begin and the largest error, whether the
-    95 % ellipse held the truth, and the mean normalized squared error, (n,)."""
+    """Errors by time: stamp (n,) ns, error (n,) m, and east and north of truth and estimate, (n, 2) m. independent:
+    whether the truth is more than the fixes that the filter was given. Of outages: the begin and the largest error,
+    whether the 95 % ellipse contained the truth, and the mean normalized squared error, (n,)."""
 
     stamp: np.ndarray
     error: np.ndarray
@@ -53,14 +53,15 @@ class Series:
     independent: bool = True
 
     def apart(self, duration: float) -> int:
-        """How many of these outages of `duration` s do not overlap."""
+        """Number of these outages of `duration` s that do not overlap."""
         return len(np.unique((self.stamp - self.stamp[0]) // round(duration * 1e9))) if len(self.stamp) else 0
 
 
 @dataclass(frozen=True)
 class Result:
-    """One replay. models: first the one that it is judged by, which is the best. runs: by (recording, model, interval);
-    outages: by (recording, model, duration). fitted_here: the recordings that its parameters were fitted to."""
+    """One replay. models: the one that represents it, which is the best, comes first. runs: by (recording, model,
+    interval); outages: by (recording, model, duration). fitted_here: the recordings that its parameters were fitted to.
+    """
 
     name: str
     recordings: list[str]
@@ -72,8 +73,9 @@ class Result:
 
 @dataclass(frozen=True)
 class Row:
-    """One quantity of both. duration: of outages, s, else None. count: of epochs that both have, 0 where they share too
-    few; change: of the second against the first there; decides: not where the truth is what the filters were given."""
+    """One quantity of both. duration: of outages, s, else None. count: number of common epochs, 0 if they are too few.
+    change: of the second relative to the first at these. decides: whether it counts for the verdict; not if the truth
+    is the fixes that the filters were given."""
 
     recording: str
     models: tuple[str, str]
@@ -88,7 +90,7 @@ class Row:
 
 
 def read_result(folder, name: str) -> Result:
-    """The replay in `folder`. CompareError where it is none."""
+    """The replay in `folder`. CompareError if there is none."""
     folder = Path(folder)
     try:
         content = json.loads((folder / 'report.json').read_text(encoding='utf-8'))
@@ -102,7 +104,7 @@ def read_result(folder, name: str) -> Result:
         offset = round(content['parameters'].get('gnss.time_offset', 0.0) * 1e9)
         best = content['sensor_error_model']
         for recording, truth_source in ((r['name'], r['truth']) for r in content['recordings']):
-            # by the fixes' own stamps, so that the same epochs are compared whatever a replay says of the clocks
+            # by the stamps of the fixes, so that the epochs are the same with any time offset
             delay = offset if truth_source == 'fixes' else 0
             prefix = f'{recording}_' if len(recordings) > 1 else ''
             truth = _tum(folder / f'{prefix}truth.tum')
@@ -151,9 +153,10 @@ def _outages(path: Path, offset: int) -> dict[tuple, Series]:
 
 
 def rows_of(first: Result, second: Result) -> list[Row]:
-    """All quantities that both have, judged together (Holm). CompareError where there are none.
+    """All quantities that both have, with a correction for multiple tests (Holm). CompareError if there are none.
 
-    Recordings are matched in their order; of the models first those that the two are judged by, then each by its name.
+    Recordings are matched by their order; of the models first those that represent the replays, then those of equal
+    name.
     """
     shared = [(m, m) for m in first.models if m in second.models]
     models = list(dict.fromkeys([(first.models[0], second.models[0]), *shared]))
@@ -190,18 +193,18 @@ def _row(recording, models, kind, size, mine: Series, theirs: Series) -> Row | N
 
 
 def judged(first: Result, second: Result, rows: list[Row]) -> Verdict:
-    """Whether the second is better than the first, by the models that they are judged by."""
+    """Whether the second is better than the first, by the models that represent them."""
     several, judged_by = len(first.recordings) > 1, (first.models[0], second.models[0])
     changes = [row.change if several else replace(row.change, where='') for row in rows
                if row.change is not None and row.decides and row.models == judged_by]
     verdict = decide(changes)
-    # who was fitted to these very data proves nothing by being better
+    # a gain on the data that the parameters were fitted to is no proof
     winner = {BETTER: second, WORSE: first}.get(verdict.answer)
     return replace(verdict, answer=CANNOT_TELL, fitted_here=True) if winner and winner.fitted_here else verdict
 
 
 def trust_of(result: Result) -> Trust:
-    """Whether the sigmas of a replay can be trusted, by its outages."""
+    """Whether the sigmas of a replay are right, by its outages."""
     model = result.models[0]
     return trusted([Consistency(duration, s.nees, s.within, s.apart(duration))
                     for (recording, name, duration), s in result.outages.items()
@@ -209,7 +212,7 @@ def trust_of(result: Result) -> Trust:
 
 
 def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
-    """Which of the two is better, with the interval that says so."""
+    """Which of the two is better, with the interval of the difference."""
     names = first.name, second.name
     verdict = judged(first, second, rows)
     wrong = [_why_unpaired(rows)] if not all(row.count for row in rows) else []
@@ -225,7 +228,7 @@ def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
 
 
 def _why_unpaired(rows: list[Row]) -> str:
-    """Why not all of `rows` are compared epoch by epoch, or outage by outage."""
+    """Why some of `rows` are not compared epoch by epoch, or outage by outage."""
     if all(row.count for row in rows if row.duration is None):
         return ('Without fixes they are not compared: the outages of the two begin at other fixes, as outage_spacing '
                 'or the version that replayed them is another one. Their errors stand in the table.')
@@ -268,7 +271,7 @@ def report(first: Result, second: Result, rows: list[Row], answered: Answer) -> 
 
 
 def _better(row: Row, level: float, first: Result, second: Result) -> str | None:
-    """The name of the one that is better for certain."""
+    """The name of the one that is certainly better."""
     sign = 0 if row.change is None else row.change.sign(level)
     return {-1: second.name, 1: first.name}.get(sign)
 
@@ -300,7 +303,7 @@ def report_page(first: Result, second: Result, rows: list[Row], answered: Answer
 
 
 def _numbers(row: Row) -> tuple[float, float]:
-    """The errors of both, m: as in the headline where they are paired."""
+    """The errors of both, m, at common epochs if they are paired."""
     return row.rms if row.change is None else (row.change.before, row.change.after)
 
 
@@ -312,7 +315,7 @@ def _span(row: Row, level: float) -> str:
 
 
 def layers(first: Result, second: Result, rows: list[Row]) -> list[Layer]:
-    """The truth and both tracks, at the shortest interval that both have; none where they share no epochs."""
+    """The truth and both tracks, at the shortest common interval; none without common epochs."""
     row = next((r for r in rows if r.duration is None and r.count), None)
     if row is None:
         return []
@@ -322,7 +325,7 @@ def layers(first: Result, second: Result, rows: list[Row]) -> list[Layer]:
     stamp, a, b = np.intersect1d(mine.stamp, theirs.stamp, return_indices=True)
     truth, time = mine.truth[a], (stamp - stamp[0]) * 1e-9
     found = [Layer('truth', colours.TRUTH, time, *truth.T, {}, 6.0)]
-    # by their errors: each replay has its own origin
+    # computed from the errors, as each replay has its own origin
     for name, series, at, colour, width in ((first.name, mine, a, colours.FIRST, 3.0),
                                             (second.name, theirs, b, colours.SECOND, 1.8)):
         east, north = (truth + series.estimate[at] - series.truth[at]).T
