@@ -1,11 +1,13 @@
 """README and docs: every command in them can be typed, every link leads somewhere, and what a new user types runs."""
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shlex
 import subprocess
 import sys
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -176,6 +178,72 @@ def test_links_lead_somewhere(page):
         other = (page.parent / path).resolve() if path else page
         assert other.exists(), target
         assert not anchor or anchor in anchors(other), target
+
+
+# names
+
+#: pages that describe the code with the names of its functions and constants
+PAGES_OF_CODE = [REPOSITORY / 'docs' / f'{name}.md' for name in
+                 ('ablation', 'filter', 'how_to_add', 'hypotheses', 'live_loop', 'standstill', 'way_of_a_fix')]
+#: extensions of files, which are not names in a module
+EXTENSIONS = {'py', 'md', 'yaml', 'json', 'html', 'csv', 'png', 'tum', 'gpx', 'kml', 'geojson', 'service'}
+
+
+def code_in(page):
+    """What stands in backticks in a page, without its blocks of code."""
+    return set(re.findall(r'`([^`\n]+)`', re.sub(r'```.*?```', '', page.read_text(encoding='utf-8'), flags=re.DOTALL)))
+
+
+@cache
+def sources():
+    """The files of the package, its tests and studies: text by path in the repository."""
+    files = (path for folder in ('mems_ins_fusion', 'test', 'studies', 'examples', 'launch', 'config', 'scripts')
+             for path in (REPOSITORY / folder).rglob('*.*') if path.suffix in ('.py', '.yaml', '.js', '.css', '.csv'))
+    return {path.relative_to(REPOSITORY).as_posix(): path.read_text(encoding='utf-8') for path in files}
+
+
+@cache
+def names_in(module):
+    """Names that the modules called so define, import, or pass as keywords (columns of the filter's memory)."""
+    found = set()
+    for path, text in sources().items():
+        if path.startswith('mems_ins_fusion/') and path.endswith(f'/{module}.py'):
+            for node in ast.walk(ast.parse(text)):
+                found |= {getattr(node, name, None) for name in ('name', 'id', 'attr', 'arg')}
+    return found
+
+
+@cache
+def words():
+    return set(re.findall(r'\w+', '\n'.join(text for path, text in sources().items() if 'test_docs' not in path)))
+
+
+def unknown_names(code, of_code):
+    """Those of the texts in backticks that name a file, or a name in a module, that there is not. of_code: whether each
+    single name has to be one of the code."""
+    parameters, unknown = {one.name for one in (*FILTER, *FUSION, *REPLAY)}, set()
+    for text in code:
+        if re.fullmatch(r'[\w/]+\.py', text):
+            there = any(f'/{path}'.endswith(f'/{text}') for path in sources())
+        elif found := re.fullmatch(r'(?:\w+/)*(\w+)\.(\w+)', text):
+            module, name = found.groups()
+            there = (not names_in(module) or name in names_in(module) or text in parameters or name in EXTENSIONS)
+        else:
+            there = not of_code or not re.fullmatch(r'[A-Za-z]\w*_\w+|[A-Z]\w{3,}', text) or text in words() or (
+                text.startswith('NAME_'))
+        unknown |= set() if there else {text}
+    return unknown
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_files_and_names_in_a_page_are_those_of_the_code(page):
+    assert unknown_names(code_in(page), page in PAGES_OF_CODE) == set()
+
+
+@pytest.mark.parametrize('text', ['filter/trust/doubt.py', 'new_start.finds_course', 'scale.LARGEST_INNOVATION',
+                                  'trust/scale.forget_all', 'LONGEST_HELD', 'take_fix'])
+def test_a_name_that_is_not_there_is_seen(text):
+    assert unknown_names({text}, True) == {text}
 
 
 def test_each_page_is_in_the_table_of_contents():
