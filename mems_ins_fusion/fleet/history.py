@@ -1,4 +1,4 @@
-"""What is known of each vehicle over its life: a file that recordings and the node's state files feed."""
+"""History of each vehicle over all its drives, from recordings and the node's state files."""
 from __future__ import annotations
 
 import json
@@ -12,16 +12,16 @@ from ..results import write_files
 from .sources import local_copy
 from .tables import cell_text
 
-#: where the files stand below the output folder, and their columns
+#: folder of the files below the output folder, and their columns
 FOLDER = 'history'
 COLUMNS = ('stamp_ns', 'source', 'recording_id', 'effect', 'parameter', 'value', 'sigma', 'unit')
-#: states of the filter in a state file that tell of the vehicle, beside what its params file says
+#: states in a state file that belong to the vehicle, relative to its params file
 _STATES = {'time_offset': ('gnss_time_offset', 'time_offset', 's'),
            'mounting_pitch': ('mounting_rotation', 'pitch', 'rad'), 'mounting_yaw': ('mounting_rotation', 'yaw', 'rad')}
 
 
 def read_state_file(place: str) -> tuple[list[dict], str]:
-    """Rows of the history from a state file of `fusion_node`, and why there are none, or ''."""
+    """Rows of the history from a state file of `fusion_node`, and the reason if there are none, else ''."""
     try:
         with local_copy(place) as path:
             snapshot = json.loads(path.read_text(encoding='utf-8'))['filter']
@@ -41,8 +41,8 @@ def read_state_file(place: str) -> tuple[list[dict], str]:
 
 
 def estimates(effects: Sequence[dict], begins: dict[str, int], states: Sequence[dict]) -> list[dict]:
-    """All that is known, by time: rows with `vehicle` and COLUMNS. effects: rows of that table; those of single
-    recordings count. begins: ns, by recording_id. states: rows of state files, with `vehicle`."""
+    """All estimates by time: rows with `vehicle` and COLUMNS. effects: rows of that table, of which those of single
+    recordings are used. begins: ns, by recording_id. states: rows of state files, with `vehicle`."""
     known = [{**{name: row.get(name) for name in ('vehicle', *COLUMNS)}, 'stamp_ns': begins[row['recording_id']]}
              for row in effects if begins.get(row['recording_id']) is not None]
     known += list(states)
@@ -51,7 +51,7 @@ def estimates(effects: Sequence[dict], begins: dict[str, int], states: Sequence[
 
 
 def write(output: Path, rows: Sequence[dict]) -> None:
-    """The file of each vehicle in `rows`."""
+    """Write a file for each vehicle in `rows`."""
     texts: dict[Path, list[str]] = {}
     for row in rows:
         path = Path(output) / FOLDER / f'{quote(row["vehicle"], safe=" ")}.csv'

@@ -1,4 +1,4 @@
-"""What there is to do: one job for each recording, or for all recordings of a vehicle that can be used."""
+"""The jobs of a fleet: one for each recording, or one for all usable recordings of a vehicle."""
 from __future__ import annotations
 
 import hashlib
@@ -10,19 +10,18 @@ from pathlib import Path
 
 from .sources import Entry
 
-#: what a recording alone is asked for by each task; LOOK: what it shows of the vehicle, as `configure` sees it
+#: work with a single recording for each task; LOOK: the estimates of `configure` from this recording
 LOOK = 'look'
 TASKS = {'replay': 'replay', 'configure': LOOK, 'diagnose': LOOK, 'characterize': 'characterize'}
-#: tasks that take all recordings of a vehicle together, after each was looked at alone
+#: tasks that use all recordings of a vehicle together, after the work with each of them
 TOGETHER = ('configure', 'diagnose')
 
 
 @dataclass(frozen=True)
 class Job:
-    """One piece of work. vehicle: whose recordings they are. recordings: where they are; contents: what tells each from
-    others. params_file and references: '' where there is none; references are as many as recordings. options: `pages`,
-    `memory_gb`. id: the name of its result, made of all that decides what the result is, and of nothing else.
-    """
+    """One piece of work. recordings: of one vehicle, where they are; contents: their identities. params_file,
+    references: '' if there are none; one reference for each recording. options: `pages`, `memory_gb`. id: name of the
+    result, computed from everything that determines the result and from nothing else."""
 
     task: str
     vehicle: str
@@ -36,7 +35,7 @@ class Job:
 
 
 def job(task: str, recordings: Sequence[tuple[Entry, str]], read: dict[str, str], options: dict) -> Job:
-    """The job of `task` on `recordings`, each with its content. read: contents of params files and references."""
+    """The job of `task` on `recordings`, each with its identity. read: identities of params files and references."""
     entries = [entry for entry, _ in recordings]
     contents = [content for _, content in recordings]
     params_file = entries[0].params_file
@@ -47,13 +46,13 @@ def job(task: str, recordings: Sequence[tuple[Entry, str]], read: dict[str, str]
 
 
 def from_dict(values: dict) -> Job:
-    """The job of `dataclasses.asdict`, by which another process, of whatever version, is told of it."""
+    """The job from `dataclasses.asdict`, as it is passed to other processes, which may have another version."""
     return Job(**{name: tuple(v) if isinstance(v, list) else v for name, v in values.items()})
 
 
 @cache
 def code() -> str:
-    """What tells this version of the package from others: results of different ones are not mixed."""
+    """Identity of this version of the package: results of different versions are not mixed."""
     package = Path(__file__).parents[1]
     digest = hashlib.blake2b(digest_size=8)
     for source in sorted(package.rglob('*.py')):
@@ -62,7 +61,7 @@ def code() -> str:
 
 
 def by_vehicle(entries: Iterable[tuple[Entry, str]]) -> list[list[tuple[Entry, str]]]:
-    """Recordings that can be taken together: of one vehicle and with one params file."""
+    """Recordings that can be used together: of one vehicle and with one params file."""
     found: dict[tuple, list] = {}
     for entry, content in entries:
         found.setdefault((entry.vehicle, entry.params_file), []).append((entry, content))

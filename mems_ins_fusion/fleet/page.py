@@ -1,4 +1,4 @@
-"""`fleet.html`: what holds of the fleet, who is not as the others and since when, and every recording to find."""
+"""`fleet.html`: statements about the fleet, vehicles that differ or have changed, and a table of all recordings."""
 from __future__ import annotations
 
 import json
@@ -14,20 +14,20 @@ from ..reports.html import Html, bullets, empty_figure, figure, folded, note, nu
 from . import population
 from .change_points import QUANTITIES, day
 
-#: the script of the table of recordings; no library, no network
+#: script of the table of recordings; it uses no library and no network
 _SCRIPT = (Path(__file__).parent / 'fleet.js').read_text(encoding='ascii')
 #: columns of the table of recordings
 _COLUMNS = ('vehicle', 'begin', 'recording', 'status', 'length, min', 'error, m', 'reason')
-#: more lines of one kind than this are counted, not shown
+#: largest number of lines of one kind; further ones are counted
 _MOST = 200
-#: of one kind in the answer, which stands first
+#: the same in the answer, at the top of the page
 _MOST_SAID = 20
-#: vehicles in a figure, at most
+#: largest number of vehicles in a figure
 _MOST_DRAWN = 60
 
 
 def page(fleet, estimates: list[dict]) -> str:
-    """The page. estimates: what is known of each vehicle over time, as `history.estimates`."""
+    """The page. estimates: of each vehicle over time, by `history.estimates`."""
     rows, asked = fleet.rows, fleet.asked
     wrong = fleet.not_usable()
     ids = {recording_id for some in wrong.values() for recording_id in some}
@@ -57,7 +57,7 @@ def page(fleet, estimates: list[dict]) -> str:
 
 
 def answer(fleet, standings, strange) -> Answer:
-    """What a person wants to know first."""
+    """The most important statements."""
     done, failed, left = (fleet.count(status) for status in ('done', 'failed', 'open'))
     changed = sorted({c.vehicle for c in fleet.changes})
     wrong = [f'{c.vehicle}: {c.words()}'.replace('+-', '\N{PLUS-MINUS SIGN}') for c in fleet.changes[:_MOST_SAID]]
@@ -149,7 +149,7 @@ def _distribution(effects):
         scale = 1.0 if quantity.ratio else quantity.scale
         axes.plot(scale * np.array(list(vehicles.values())), np.zeros(len(vehicles)), 'o', alpha=0.4, color='#1b6ca8',
                   markersize=5)
-        # above, not beside: on a phone that would leave no room for the axis
+        # above, as beside it there would be no room for the axis on a phone
         axes.set_title(f'{quantity.words}, {unit if quantity.ratio else quantity.unit} ({source})', fontsize=8,
                        loc='left')
         axes.set_yticks([])
@@ -160,7 +160,7 @@ def _distribution(effects):
 
 
 def _histories(fleet, estimates: list[dict]) -> list[Html]:
-    """A figure of the vehicles that changed; of others the file tells."""
+    """A figure of the vehicles that changed; the others are in the files."""
     from .history import FOLDER
 
     changed = list(dict.fromkeys((c.vehicle, c.quantity, c.source) for c in fleet.changes))[:_MOST_DRAWN]
@@ -190,7 +190,7 @@ def _steps(fleet, changed, estimates):
 
 
 def _recordings(rows) -> Html:
-    """All recordings as data: the script shows some at a time, so that 10 000 are no more to draw than 50."""
+    """All recordings as data; the script shows some of them at a time, so that 10 000 are drawn as fast as 50."""
     errors = {}
     for row in sorted(rows['results'], key=lambda r: (r['update_interval_s'] or 0.0, r['horizontal_rmse_m'] or 0.0)):
         if row['horizontal_rmse_m'] is not None and not row['stage']:

@@ -16,7 +16,7 @@ from mems_ins_fusion.results import plain
 
 
 def report(c: Characterization, answered: Answer) -> dict:
-    """report.json: plain numbers, texts and lists; null where something is not known or unbounded."""
+    """Content of report.json: plain numbers, texts and lists; null for unknown or unbounded values."""
     return {
         'answer': answered.json(),
         'recording': c.name, 'rate_hz': c.grid.rate, 'duration_at_rest_s': c.duration,
@@ -62,8 +62,8 @@ def _estimate(e) -> dict:
 
 
 def report_html(c: Characterization, answered: Answer, images: dict[str, html.Html]) -> str:
-    """report.html: the answer and one picture, then the evidence, folded away. images: by name, as
-    `characterization_figures.figures` names them."""
+    """Content of report.html: the answer and one figure, then the evidence in folded sections. images: by name, as in
+    `characterization_figures.figures`."""
     def show(*names):
         return [images[n] for n in names if n in images]
 
@@ -89,7 +89,7 @@ def _result(c):
 
 
 def _data_sheet(c):
-    """A table for each sensor with the units of its data sheet beside SI."""
+    """A table for each sensor with SI units and those of data sheets."""
     tables = []
     for sensor, unit in SENSORS.items():
         rows = [data_sheet_row(sensor, a) for a in c.of(sensor)]
@@ -101,7 +101,7 @@ def _data_sheet(c):
 
 
 def data_sheet_row(sensor: str, axis) -> list[tuple]:
-    """(what and unit, value or None) of one axis: SI first, then as data sheets write it."""
+    """(quantity and unit, value or None) of one axis: in SI, then in units of data sheets."""
     found = axis.allan_parameters
     row = []
     for what, value, si, convert in (
@@ -114,7 +114,7 @@ def data_sheet_row(sensor: str, axis) -> list[tuple]:
 
 
 def data_sheet_text(c: Characterization) -> list[str]:
-    """The same for a terminal, all of it: a line for each axis."""
+    """The same as text for a terminal: a line for each axis."""
     lines = []
     for sensor in SENSORS:
         for axis in c.of(sensor):
@@ -129,7 +129,7 @@ def data_sheet_text(c: Characterization) -> list[str]:
 
 
 def data_sheet_short(c: Characterization) -> list[str]:
-    """The same in a line for each sensor, from the best to the worst axis."""
+    """The same as one line for each sensor, from the best to the worst axis."""
     lines = []
     for sensor in SENSORS:
         found: dict[str, list[float]] = {}
@@ -144,7 +144,7 @@ def data_sheet_short(c: Characterization) -> list[str]:
 
 
 def _span(values: list[float]) -> str:
-    """From the smallest to the largest, once where they read the same."""
+    """From the smallest to the largest value, or one value if both have the same text."""
     return ' to '.join(dict.fromkeys(html.number(v, 3) for v in (min(values), max(values))))
 
 

@@ -1,4 +1,4 @@
-"""The answer of a characterization: what imu.yaml holds, how far the recording supports it, and what it means on the
+"""The answer of a characterization: the content of imu.yaml, how well the recording supports it, and its effect on the
 road."""
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from .html import number
 LEAST_GRAVITY = 9.76
 #: m/s^2, largest gravity there (the poles)
 MOST_GRAVITY = 9.84
-#: correlation times: a recording of fewer tells sigma and tau of Gauss-Markov poorly
+#: smallest length of a recording in correlation times for good estimates of sigma and tau of Gauss-Markov
 FEWEST_TIMES = 20
-#: m/s, speed at which an error of the heading is turned into metres
+#: m/s, speed at which an error of the heading is converted to metres
 SPEED = 15.0
-#: part of the recording: that more was cut out is said
+#: share of the recording above which excluded parts are mentioned
 DISTURBED = 0.05
 
 
 def answer(c: Characterization, checked: list[Remark], topics: dict[str, str], output: str) -> Answer:
-    """checked: what the checker found, about `topics`. output: folder of the results, for the command."""
+    """The answer. checked: findings of the checker about `topics`. output: folder of the results, for the command."""
     wrong = [*_about_gravity(c), *_about_length(c), *_about_disturbances(c),
              *(checked_text(f, topics) for f in checked if f.severity != INFO)]
     quiet = _quiet(c)
@@ -37,7 +37,7 @@ def _quiet(c: Characterization) -> list[str]:
 
 
 def short(c: Characterization) -> list[str]:
-    """Axes of which fewer than FEWEST_TIMES correlation times were recorded."""
+    """Axes with a recording of fewer than FEWEST_TIMES correlation times."""
     return [a.name for a in c.axes if a.significant and c.duration < FEWEST_TIMES * a.fits['gauss_markov'].model.tau]
 
 
@@ -85,7 +85,7 @@ def _about_disturbances(c: Characterization) -> list[str]:
 
 
 def _cost(c: Characterization) -> list[str]:
-    """What the predicted means of the recommended model, which are the errors left, come to on the road."""
+    """Effect on the road of the errors that the recommended model predicts to remain."""
     said = []
     for sensor, factor, text in (('accelerometer', 0.5, ''), ('gyroscope', 0.5 * SPEED, f' at {SPEED:g} m/s')):
         predictions = [a.predictions[c.model] for a in c.of(sensor) if len(a.predictions[c.model].horizons)]

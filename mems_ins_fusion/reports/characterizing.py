@@ -1,4 +1,4 @@
-"""A recording at rest in, a folder of results out: everything `characterize` does but the command line."""
+"""From a recording at rest to a folder of results: the work of the tool `characterize`."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -23,14 +23,14 @@ from .characterization_answer import answer
 from .characterization_figures import figures
 from .html import figure, image_bytes, narrow_bytes
 
-#: GB at the start, bytes for each sample
+#: memory: GB without samples, bytes for each sample
 _MEMORY = 0.3, 500.0
 
 
 @dataclass(frozen=True)
 class AtRest:
-    """A recording at rest as it was read. temperature: s and degrees Celsius, or None. begin: ns, of its first sample,
-    None where it has no stamps. found: by the checker; said: what reading it warned of."""
+    """A recording at rest. temperature: s and degrees Celsius, or None. begin: ns, of its first sample, None without
+    stamps. found: findings of the checker. said: messages of the reader."""
 
     name: str
     grid: Grid
@@ -41,7 +41,7 @@ class AtRest:
 
 
 def read_at_rest(path, values: dict, progress: Callable[[float], None] = lambda part: None) -> AtRest:
-    """Read a bag by the topics of the checked parameters `values`, or an .npz. Raises InputError."""
+    """Read a bag with the topics of the checked parameters `values`, or an .npz file. Raises InputError."""
     path = Path(path)
     if path.suffix == '.npz':
         if not path.is_file():
@@ -62,9 +62,9 @@ def read_at_rest(path, values: dict, progress: Callable[[float], None] = lambda 
 
 def write_characterization(result: Characterization, given: AtRest, values: dict, folder: Path, known_as: str,
                            pages: bool = True):
-    """Write imu.yaml into `folder`, and report.json, report.html and figures where `pages` are wanted; the answer.
+    """Write imu.yaml into `folder`, and with `pages` report.json, report.html and figures. Returns the answer.
 
-    known_as: the folder that the page names.
+    known_as: name of the folder on the page.
     """
     topics = {name: values[f'{name}_topic'] for name in ('imu', 'temperature')}
     answered = answer(result, given.found, topics, known_as)

@@ -1,6 +1,6 @@
-"""Charts over time (or frequency) on a page: zoomed by dragging, read under the cursor, one time axis for all.
+"""Charts over time (or frequency) on a page, with a common time axis: zoom by dragging, values under the cursor.
 
-Drawn by uPlot (Leon Sorokin, MIT licence: `uplot/LICENSE`), which stands inside the page; nothing is fetched.
+Drawn by uPlot (Leon Sorokin, MIT licence: `uplot/LICENSE`), which is part of the page; nothing is downloaded.
 """
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from .html import Html, _text
 
-#: points of a line, at most: of more the smallest and the largest of each stretch are kept
+#: largest number of points of a line; of longer lines the smallest and the largest value of each part are kept
 POINTS = 1200
 _HERE = Path(__file__).parent
 
@@ -45,7 +45,7 @@ class Chart:
     frequency: bool = False
 
     def content(self) -> dict:
-        """As JSON."""
+        """The chart as JSON."""
         keep = self._kept()
         return {'title': self.title, 'unit': self.unit, 'log': self.log, 'frequency': self.frequency,
                 'x': [float(f'{v:.6g}') if self.frequency else round(float(v), 2) for v in self.x[keep]],
@@ -56,7 +56,7 @@ class Chart:
                           for line in self.lines]}
 
     def _kept(self) -> np.ndarray:
-        """Which points are drawn: of each stretch those where one of the lines is smallest and largest."""
+        """The points that are drawn: of each part those at which one of the lines is smallest or largest."""
         n = len(self.x)
         if n <= POINTS:
             return np.arange(n)
@@ -71,7 +71,7 @@ class Chart:
 
 
 def charts(drawn: list[Chart], label: str) -> Html:
-    """The charts, with one time axis. label: what they show, for who does not see them."""
+    """The charts with a common time axis. label: text for people who cannot see them."""
     content = json.dumps([chart.content() for chart in drawn if len(chart.x)], allow_nan=False,
                          separators=(',', ':')).replace('<', '\\u003c')
     return Html(f'<div class="charts" role="img" aria-label="{_text(label)}">\n<div class="plots"></div>\n'
@@ -79,7 +79,7 @@ def charts(drawn: list[Chart], label: str) -> Html:
 
 
 def library() -> Html:
-    """uPlot and what draws the charts of a page; once, at its end, before the script of the track."""
+    """uPlot and the script that draws the charts; once, at the end of a page, before the script of the track."""
     style, source, ours = ((_HERE / name).read_text(encoding='utf-8') for name in
                            ('uplot/uPlot.min.css', 'uplot/uPlot.iife.min.js', 'charts.js'))
     licence = (_HERE / 'uplot' / 'LICENSE').read_text(encoding='utf-8')

@@ -1,11 +1,11 @@
-"""One name and one colour for each thing on every page: the palette of Okabe and Ito, which the colour-blind can tell
-apart."""
+"""The colours of all pages, the same for the same thing: the palette of Okabe and Ito, which colour-blind people can
+distinguish."""
 from __future__ import annotations
 
 #: of the sensor error models
 MODELS = {'random_walk': '#d55e00', 'gauss_markov': '#0072b2', 'autoregressive': '#009e73'}
 MODEL_NAMES = {'random_walk': 'random walk', 'gauss_markov': 'Gauss-Markov', 'autoregressive': 'autoregressive'}
-#: line styles and widths with them: lines that lie on each other all show, the later drawn the thinner
+#: line styles and widths of them: later lines are thinner, so that lines on top of each other are all visible
 DASHES = {'random_walk': '-', 'gauss_markov': '-', 'autoregressive': (0, (4, 3))}
 WIDTHS = {'random_walk': 2.4, 'gauss_markov': 1.5, 'autoregressive': 1.1}
 #: of the stages of a diagnosis, and of two results that are compared

@@ -1,4 +1,4 @@
-"""What `configure` found: the params file with its evidence as comments, and a page with what it looked at."""
+"""Results of `configure`: the params file with evidence as comments, and a page with the data behind it."""
 from __future__ import annotations
 
 import math
@@ -18,13 +18,13 @@ from .html import bullets, figure, folded, paragraph, preformatted, section, tab
 from .settings import settings_table
 from .verdict import unsettled_text
 
-_WIDTH = 116  # characters of a line of comment
-_POINTS = 4000  # of a figure, about
+_WIDTH = 116  # largest number of characters in a line of comment
+_POINTS = 4000  # approximate number of points in a figure
 
 
 def doubts(result: Configuration) -> list[str]:
-    """Why the file is not ready to drive with: what is wrong with the recordings, what they do not show, and what may
-    be off. In this order, as the first is what a console has room for, and the others often follow from it."""
+    """Why the file is not ready for driving: what is wrong with the recordings, what they do not show, and values that
+    may be wrong. In this order, as the console shows only the first, and the others often follow from it."""
     return [*result.wrong, *result.missing,
             *(unsettled_text(left) for left in unsettled(result.left) if math.isfinite(left.sigma))]
 
@@ -45,7 +45,7 @@ def configuration_yaml(result: Configuration) -> str:
 
 
 def story(result: Configuration) -> list[str]:
-    """What was found, line by line."""
+    """The results as lines."""
     values = result.values
     lines = [f'IMU {values["imu_topic"]} ({values["imu.acceleration_unit"]}, {values["imu.rate_unit"]}), '
              f'fixes {values["gnss_topic"] or "none"}; {values["mechanization"]}']
@@ -61,8 +61,8 @@ def story(result: Configuration) -> list[str]:
 
 
 def in_short(result: Configuration) -> str:
-    """The same in a line of a console: units, angles, time offset. Of the angles the yaw has its sigma, which differs
-    most between drives."""
+    """The same in one line for a console: units, angles, time offset. Only the yaw is shown with its sigma, which
+    differs most between drives."""
     said, found = f'{result.values["imu.acceleration_unit"]}, {result.values["imu.rate_unit"]}', result.mounting
     if found is not None:
         roll, pitch, yaw = (f'{angle:.1f}' if abs(angle) < 100.0 else f'{angle:.0f}' for angle in np.degrees(found.rpy))
@@ -74,8 +74,8 @@ def in_short(result: Configuration) -> str:
 
 
 def answer(result: Configuration, bags: list[str], output: str) -> Answer:
-    """Whether the file can be driven with, what is not right or not known, and what to type next. bags, output: paths
-    of the recordings and of the file, for the commands."""
+    """Whether the file is ready for driving, what is wrong or unknown, and the next command. bags, output: paths of the
+    recordings and of the file, for the commands."""
     found, wrong = result.mounting, doubts(result)
     path, name = shlex.quote(output), PurePath(output).name
     steps = [Step('Find what is missing in it:', f'python -m mems_ins_fusion diagnose --bag {shlex.quote(bags[0])} '
@@ -97,7 +97,7 @@ def answer(result: Configuration, bags: list[str], output: str) -> Answer:
 
 
 def configuration_page(result: Configuration, yaml_text: str, answered: Answer) -> str:
-    """The page about all that was looked at."""
+    """The page with the results and their data."""
     summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(story(result))}'
     return html.page('Parameters found in the recording', [
         section('Is the file ready?', answered.html(), *_figure(result),
@@ -122,7 +122,7 @@ def _mounting(result):
 
 
 def _figure(result):
-    """The picture beside the answer."""
+    """The figure of the answer."""
     found = result.mounting
     if found is None or found.spans is None:
         return []

@@ -1,4 +1,4 @@
-"""Drives in, a folder of results out: everything `diagnose` does but the command line."""
+"""From drives to a folder of results: the work of the tool `diagnose`."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -21,8 +21,8 @@ from .verdict import certainly_wrong
 
 @dataclass(frozen=True)
 class Drive:
-    """A recording as it was read. path: of the bag. found: by the checker. wrong: those of `found` that make it not
-    usable. said: what reading it warned of."""
+    """A recording. path: of the bag. found: findings of the checker. wrong: those that make it unusable. said: messages
+    of the reader."""
 
     path: str
     recording: Recording
@@ -33,7 +33,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What became of some drives. result: None where the data are certainly wrong; content: of report.json."""
+    """Results for some drives. result: None if the data are certainly wrong. content: of report.json."""
 
     result: Diagnosis | None
     answer: Answer
@@ -42,7 +42,8 @@ class Diagnosed:
 
 
 def read_drive(path, values: dict, progress: Callable[[float], None] = lambda part: None) -> Drive:
-    """The part of the recording `path` that the checked parameters `values` ask for. Errors as `read_part`."""
+    """The part of the recording `path` that the checked parameters `values` select. Raises the errors of `read_part`.
+    """
     recording, said = read_part(path, values, progress)
     found = check(recording, values)
     return Drive(str(path), recording, found, certainly_wrong(found, values), said)
@@ -51,11 +52,11 @@ def read_drive(path, values: dict, progress: Callable[[float], None] = lambda pa
 def diagnose_drives(drives: Sequence[Drive], values: dict, kept: dict, folder: Path, known_as: str, pages: bool = True,
                     progress: Callable[[float, str], None] = lambda part, what: None,
                     params_files: Sequence[str] = ()) -> Diagnosed:
-    """Diagnose the drives of one vehicle together and write the results into `folder`: report.json, report.html where
-    `pages` are wanted, and, where the data can be used, corrected.yaml.
+    """Diagnose the drives of one vehicle together and write the results into `folder`: report.json, with `pages`
+    report.html, and, if the data are usable, corrected.yaml.
 
-    values: checked parameters; kept: those given, by full name, which corrected.yaml keeps. known_as: the folder that
-    the page names. params_files: those that gave `values`, for the commands on it. Raises RecordingError where the
+    values: checked parameters. kept: those given, by full name, which corrected.yaml keeps. known_as: name of the
+    folder on the page. params_files: files with `values`, for the commands on the page. Raises RecordingError if the
     drives are not of one vehicle, and DiagnosisError.
     """
     recordings, bags = [drive.recording for drive in drives], [drive.path for drive in drives]
@@ -81,5 +82,5 @@ def diagnose_drives(drives: Sequence[Drive], values: dict, kept: dict, folder: P
 
 
 def _of(drive: Drive, drives: Sequence[Drive]) -> str:
-    """Which drive is meant, where there are several."""
+    """Name of the drive, if there are several."""
     return f'{drive.recording.name}: ' if len(drives) > 1 else ''

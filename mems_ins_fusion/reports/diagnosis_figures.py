@@ -14,14 +14,14 @@ from .layers import diagnosis_layers
 
 COLOURS = {'before': BEFORE, 'fitted': FITTED, 'after': AFTER}
 STAGES = {'before': 'as configured', 'fitted': 'other noise levels alone', 'after': 'with corrected.yaml'}
-#: lags of the autocorrelation shown, and half the width of the histogram in sigma
+#: number of lags of the autocorrelation, and half the width of the histogram in standard deviations
 SHOWN_LAGS, WIDEST = 3 * LAGS, 5.0
-#: candidates of a round in a figure, those with the largest gains: all are in the table beside it
+#: number of candidates of a round in a figure, those with the largest gains; all are in the table
 MOST_SHOWN = 8
 
 
 def autocorrelation(values: np.ndarray, lags: int) -> np.ndarray:
-    """Autocorrelation of `values` (n,) at lags 1..lags, with the mean taken out."""
+    """Autocorrelation of `values` (n,) at lags 1..lags, without their mean."""
     centred = values - values.mean()
     return np.array([(centred[k:] * centred[:-k]).sum() for k in range(1, lags + 1)]) / (centred**2).sum()
 
@@ -89,7 +89,8 @@ def evidence(diagnosis: Diagnosis):
 
 
 def errors(diagnosis: Diagnosis):
-    """Horizontal error before and after: against time with the fixes used, and since the last fix in outages."""
+    """Horizontal error before and after: against time, with the fixes used, and in outages against the time since the
+    last fix."""
     figure = empty_figure(11, 4)
     time, outage = figure.subplots(1, 2, width_ratios=(1.6, 1))
     origin, stages = diagnosis.problem.stamp[0], measured_stages(diagnosis)
@@ -109,8 +110,8 @@ def errors(diagnosis: Diagnosis):
 
 
 def measured_stages(diagnosis: Diagnosis) -> dict[str, Measured]:
-    """The errors measured, by stage; no other noise levels where they are those given, no stage after where nothing is
-    better."""
+    """The measured errors by stage, without a stage of noise levels if these are the given ones, and without the last
+    stage if nothing is better."""
     before, fitted = diagnosis.before, diagnosis.fitted
     stages = {'before': before}
     if not np.array_equal(before.continuous.horizontal, fitted.continuous.horizontal):
@@ -123,7 +124,7 @@ def _longest(measured: Measured) -> Outages | None:
 
 
 def _same(found: dict[str, Outages | None]) -> dict[str, Outages]:
-    """Of each the outages that all have."""
+    """The outages that all of them have."""
     there = {stage: outages for stage, outages in found.items() if outages is not None}
     begins = set.intersection(*(set(o.begin.tolist()) for o in there.values())) if there else set()
     return {stage: o.select(np.isin(o.begin, list(begins))) for stage, o in there.items()} if begins else {}

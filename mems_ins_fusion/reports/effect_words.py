@@ -1,6 +1,6 @@
-"""What an effect is called by the people who build vehicles, and what they can check: for the pages.
+"""Effects in the words of people who build vehicles, and what they can check.
 
-The words stand in the effect itself.
+The words are attributes of the effect itself.
 """
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ def what(name: str) -> str:
 
 
 def check(name: str) -> str:
-    """What to check on the vehicle for the effect `name`; empty where nothing is known."""
+    """What to check on the vehicle for the effect `name`; '' if unknown."""
     return effect_called(name).to_check
 
 
 def looks_the_same(name: str) -> str:
-    """What else may look as the effect `name` does; empty where nothing is known."""
+    """Other causes with the same appearance as the effect `name`; '' if unknown."""
     return effect_called(name).looks_the_same
 
 
 def leaves(name: str) -> str:
-    """What a correction of the effect `name` may leave of its cause; empty where the filter has a model of all."""
+    """What a correction of the effect `name` may leave of its cause; '' if the filter has a complete model of it."""
     return effect_called(name).leaves
 
 

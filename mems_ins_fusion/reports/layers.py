@@ -1,4 +1,4 @@
-"""What the interactive tracks show: a replay's runs and outages, a diagnosis before and after."""
+"""Layers of the interactive tracks: runs and outages of a replay, a diagnosis before and after."""
 from __future__ import annotations
 
 import numpy as np
@@ -15,7 +15,7 @@ from ..samples import Fixes, Reference
 from . import colours
 from .track import Layer
 
-#: a truth further away in time than this says nothing of the error at a point of the track, s
+#: s, largest time between a point of the track and the truth for its error
 NEAR = 2.0
 
 
@@ -32,12 +32,12 @@ class Ground:
         return north, east
 
     def of(self, errors: Errors):
-        """North and east where a run was, by its errors."""
+        """North and east of a run, computed from its errors."""
         at = _nearest(self.stamp, errors.stamp)
         return self.north[at] + errors.north, self.east[at] + errors.east
 
     def antenna(self, run: Run, lever_arm: np.ndarray):
-        """North and east of the point `lever_arm` (3,) m forward-right-down from the IMU."""
+        """North and east of the point at `lever_arm` (3,) m, forward-right-down, from the IMU."""
         north, east = self(run)
         arm_north, arm_east = lever_arm_north_east(lever_arm, run.roll, run.pitch, run.yaw)
         return north + arm_north, east + arm_east
@@ -50,7 +50,7 @@ def middle(reference: Reference) -> np.ndarray:
 
 
 def diagnosed_truth(diagnosis: Diagnosis) -> Truth:
-    """The truth of one drive by the stamps that its errors carry."""
+    """The truth of one drive at the stamps of its errors."""
     return truth_of(diagnosis.recording, diagnosis.values | {'gnss.time_offset': 0.0})
 
 
@@ -65,7 +65,7 @@ def _nearest(stamp: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 def replay_layers(comparison: Comparison, best: str, names: dict[str, str]) -> list[Layer]:
     """Truth, fixes used and withheld, each model at the shortest interval, its longest outages.
 
-    best: the model whose outages show at first. names: what a person calls each model.
+    best: model whose outages are shown at first. names: displayed names of the models.
     """
     ground, origin = Ground(comparison.truth.reference), int(comparison.recording.imu.stamp[0])
     interval = comparison.intervals[0]
@@ -92,8 +92,8 @@ def replay_layers(comparison: Comparison, best: str, names: dict[str, str]) -> l
 
 
 def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
-    """Truth, fixes, and the position before and (where something is corrected) after, with all fixes and in the longest
-    outages; of one drive."""
+    """Truth, fixes, and the position of one drive before and (if something is corrected) after, with all fixes and in
+    the longest outages."""
     d = diagnosis
     truth = diagnosed_truth(d)
     ground, origin = Ground(truth.reference), int(d.recording.imu.stamp[0])
@@ -130,7 +130,7 @@ def _truth(ground: Ground, origin: int, source: str) -> Layer:
 
 
 def _fixes(ground: Ground, comparison: Comparison, run: Run, origin: int) -> list[Layer]:
-    """Fixes that `run` used, that it was given and did not use, and that it was not given."""
+    """Fixes that `run` used, fixes that it was given and did not use, and fixes that it was not given."""
     fixes = comparison.recording.gnss
     fixes = fixes.select(is_fix(fixes))
     stamp = fixes.stamp - round(run.config.gnss.time_offset * 1e9)
@@ -147,7 +147,7 @@ def _fixes(ground: Ground, comparison: Comparison, run: Run, origin: int) -> lis
 
 def _outages(ground: Ground, errors: list[Errors], origin: int, colour: str, name: str, dash=(),
              shown: bool = True) -> Layer:
-    """One piece for each outage, and at its end where the vehicle was."""
+    """One piece for each outage, and the true position at its end."""
     errors = [e for e in errors if len(e)]
     north, east = (np.concatenate(parts) for parts in zip(*(ground.of(e) for e in errors)))
     count = np.array([len(e) for e in errors])
@@ -163,7 +163,7 @@ def _outages(ground: Ground, errors: list[Errors], origin: int, colour: str, nam
 
 
 def _read(run: Run, errors: Errors) -> dict[str, np.ndarray]:
-    """What the cursor reads along a run."""
+    """Values under the cursor along a run."""
     near = np.abs(errors.stamp[_nearest(errors.stamp, run.stamp)] - run.stamp) < NEAR * 1e9
     error = np.interp(run.stamp - run.stamp[0], errors.stamp - run.stamp[0], errors.horizontal)
     return {'speed': np.hypot(*run.velocity[:, :2].T), 'error': np.where(near, error, np.nan),
@@ -171,7 +171,7 @@ def _read(run: Run, errors: Errors) -> dict[str, np.ndarray]:
 
 
 def _speed(ground: Ground, wanted: np.ndarray) -> np.ndarray:
-    """Speed of the truth over a second at the stamps `wanted` (ns), m/s."""
+    """True speed, mean over a second, at the stamps `wanted` (ns), m/s."""
     seconds, at = (ground.stamp - ground.stamp[0]) * 1e-9, (wanted - ground.stamp[0]) * 1e-9
     ahead, behind = at + 0.5, at - 0.5
     moved = [np.interp(ahead, seconds, values) - np.interp(behind, seconds, values)

@@ -1,4 +1,4 @@
-"""Recordings in, a folder of results out: everything `replay_node` does but ROS."""
+"""From recordings to a folder of results: the work of `replay_node` without ROS."""
 from __future__ import annotations
 
 import math
@@ -37,21 +37,21 @@ from .answer import Answer, topics_of
 from .replay_answer import answer, best_model
 from .replay_report import FIGURES, draw_figures, online_row, report, report_page, write_report
 
-#: the parameters of the replay, for the next command
+#: file with the parameters of the replay, for the next command
 PARAMS_FILE = 'parameters.yaml'
-#: with diagnosis.online `apply`: what a live node would have published
+#: file with the output of a live node, with diagnosis.online `apply`
 DRIVEN = 'driven.tum'
 
-#: of replay and diagnosis: GB without a recording, bytes for each message read
+#: memory of replay and diagnosis: GB without a recording, bytes for each message
 _MEMORY = 0.75, 500.0
-#: called with the part of all work that is done, 0 to 1, and what is being done; what it raises ends the work
+#: called with the part of the work that is done, 0 to 1, and the current step; an exception ends the work
 Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay left behind. folder: of the results. content: of report.json. comparisons, answers, and findings of
-    the checker: by recording."""
+    """Results of a replay. folder: of the files. content: of report.json. comparisons, answers, findings: by recording.
+    """
 
     folder: Path
     content: dict
@@ -63,9 +63,9 @@ class Replay:
 def replay_recordings(values: dict, progress: Progress = lambda part, what: None, known_as=None) -> Replay:
     """Replay the recordings `bag` and write the results to `output_dir`.
 
-    values: checked parameters. known_as: the folder that the pages name, where `output_dir` is a temporary one. Raises
-    a ValueError with one line for the user (ParameterError, RecordingError, ResultError, ReplayError); then, and when
-    `progress` raises, nothing is written.
+    values: checked parameters. known_as: name of the folder on the pages, if `output_dir` is temporary. Raises a
+    ValueError with one line for the user (ParameterError, RecordingError, ResultError, ReplayError); in this case, and
+    if `progress` raises, nothing is written.
     """
     _check(values)
     timing: dict[str, float] = {}
@@ -83,7 +83,7 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
                 try:
                     comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
                 except ReplayError:
-                    # the checker has seen all that is wrong, the filter waits for one thing after the other
+                    # the checker lists everything that is wrong, the filter only the first reason why it does not start
                     wrong = [checked_text(f, topics_of(values)) for f in findings[name] if f.severity == ERROR]
                     if not wrong:
                         raise
@@ -106,7 +106,7 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
 
 
 def _drive(path: Path, comparison: Comparison, values: dict, watch: Watch) -> list[Quantity]:
-    """Write what a live node would have published with what it found while driving; where it changed its parameters."""
+    """Write the output of a live node with the findings while driving; if it changed its parameters."""
     run = driven(comparison.recording, values, watch, origin(comparison, values))
     kept = trajectories.every(run.stamp, trajectories.POSE_INTERVAL)
     rows = run.odometry[kept]
@@ -125,7 +125,7 @@ def _check(values: dict) -> None:
 
 
 def read_part(path, values: dict, progress: Callable[[float], None]) -> tuple[Recording, list[str]]:
-    """The part of the recording `path` that `values` ask for, and what reading it warned of.
+    """The part of the recording `path` that `values` select, and the messages of the reader.
 
     Raises ParameterError, RecordingError or ReplayError.
     """
@@ -171,14 +171,14 @@ class _Part:
 
 @contextmanager
 def _timed(timing: dict, what: str) -> Iterator[None]:
-    """Adds the CPU time of the block, all threads together, to timing[what]."""
+    """Add the CPU time of the block, all threads together, to timing[what]."""
     began = time.process_time()
     yield
     timing[what] = timing.get(what, 0.0) + time.process_time() - began
 
 
 def parameters_yaml(comparisons: dict[str, Comparison], values: dict) -> str:
-    """The params file of the filter that was replayed: what is not at its default, and the model that was best."""
+    """The params file of the replayed filter: parameters that are not at their defaults, and the best model."""
     given = default_parameters()
     names = [p.name for p in (*FILTER, *named_parameters(values, given).values())
              if values[p.name] != given.get(p.name) and p.name != 'sensor_error_model']
@@ -241,7 +241,7 @@ def _write_trajectories(folder: Path, prefix: str, comparison: Comparison, value
                                {m: comparison.run_of(m, shortest) for m in comparison.models}, datum, values)
 
 
-#: columns of outages.csv, a row for each outage
+#: columns of outages.csv, with a row for each outage
 OUTAGE_COLUMNS = ('model', 'duration_s', 'begin_ns', 'max_error_m', 'distance_m', 'within_95', 'nees', 'announced_s',
                   'crossed_s')
 

@@ -10,14 +10,14 @@ from . import colours
 from .html import empty_figure, legend_below
 from .layers import Ground
 
-#: points of a line, at most
+#: largest number of points of a line
 POINTS = 3000
 #: half the width of the window around a manoeuvre, m
 WINDOW = 40.0
 
 
 def model_name(comparison: Comparison, model: str) -> str:
-    """What a person calls `model`: AR with its order."""
+    """Name of `model` for people: AR with its order."""
     if model != 'autoregressive':
         return colours.MODEL_NAMES[model]
     return f'AR({comparison.run_of(model, comparison.intervals[0]).run.config.layout.order})'
@@ -54,7 +54,7 @@ def track(comparison: Comparison):
 
 
 def _mark_outages(axes, comparison, ground):
-    """Where the filter went without fixes: outages of a middle duration that do not overlap."""
+    """The path of the filter without fixes: outages of a middle duration that do not overlap."""
     if not comparison.durations:
         return
     duration = comparison.durations[len(comparison.durations) // 2]
@@ -102,14 +102,14 @@ def manoeuvre(comparison: Comparison):
         _as_map(axes, 'box')
         axes.set_xlim(ground.east[at] - WINDOW, ground.east[at] + WINDOW)
         axes.set_ylim(ground.north[at] - WINDOW, ground.north[at] + WINDOW)
-        axes.locator_params(nbins=4)  # as many numbers of four digits as fit below a panel
+        axes.locator_params(nbins=4)  # numbers of four digits that fit below a panel
         axes.label_outer()
     legend_below(figure)
     return figure
 
 
 def _worst_turn(results: list[RunResult]) -> int:
-    """Stamp of the largest error in a turn over `results`; of the largest at all where nothing turns."""
+    """Stamp of the largest error in a turn over `results`; of the largest error if there are no turns."""
     worst = (-1.0, 0)
     for only_turns in (True, False):
         for result in results:
@@ -144,7 +144,7 @@ def error_against_time(comparison: Comparison):
         axes.set_ylabel('horizontal error, m')
         axes.set_title(f'fixes each {interval:g} s', fontsize=10, loc='left')
         largest = max(comparison.run_of(m, interval).summary['horizontal_max_m'] for m in comparison.models)
-        axes.set_ylim(0, 1.2 * largest)  # not that of the filter's sigma at its start
+        axes.set_ylim(0, 1.2 * largest)  # not the filter's sigma at its start
         axes.margins(x=0)
     panels[-1].set_xlabel('time, s')
     legend_below(figure)
@@ -152,7 +152,7 @@ def error_against_time(comparison: Comparison):
 
 
 def _peaks(time, values):
-    """At most POINTS of the points, the largest value of each stretch: what one sees of a dense line."""
+    """At most POINTS of the points, the largest value of each part: the visible outline of a dense line."""
     every = -(-len(time) // POINTS)
     if every == 1:
         return time, values

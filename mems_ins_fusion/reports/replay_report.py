@@ -44,8 +44,8 @@ FIGURES = (
 
 def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str, list], said: dict[str, list[str]],
            online: list[dict], answers: dict[str, Answer], timing: dict) -> dict:
-    """The content of `report.json`. comparisons, findings of the checker, what reading said, answers: by name of the
-    recording. online: rows of `online_row`. timing: name -> s."""
+    """The content of `report.json`. comparisons, findings of the checker, messages of the reader, answers: by name of
+    the recording. online: rows of `online_row`. timing: name -> s."""
     defaults = default_parameters()
     return {
         'tool': 'replay_node', 'version': __version__,
@@ -65,7 +65,7 @@ def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str,
 
 
 def online_row(quantity: Quantity, name: str, begin: int) -> dict:
-    """One entry of `online` in `report.json`: what was known of one thing when that was news. begin: ns."""
+    """One entry of `online` in `report.json`: a finding at the time at which it changed. begin: ns."""
     return {'recording': name, 'time_s': (quantity.time - begin) * 1e-9, 'name': quantity.name, 'state': quantity.state,
             'parameters': {n: {'value': e.value, 'sigma': e.sigma, 'unit': e.unit}
                            for n, e in quantity.parameters.items()},
@@ -84,7 +84,7 @@ def _recording(name: str, comparison: Comparison, findings: list, said: list[str
 
 
 def _verdict(comparisons: dict[str, Comparison], values: dict, findings: dict[str, list]) -> dict:
-    """Of all recordings together."""
+    """The verdict on all recordings together."""
     several = len(comparisons) > 1
     each = [judged(c, findings[name], values, name if several else '') for name, c in comparisons.items()]
     verdict = decide(change for v in each for change in v.changes)
@@ -95,7 +95,7 @@ def _verdict(comparisons: dict[str, Comparison], values: dict, findings: dict[st
 
 
 def _notices(comparison: Comparison) -> list[str]:
-    """What the filter said in its runs, each once: of notices that differ in their numbers only, the first."""
+    """Messages of the filter in its runs, each once: of messages that differ only in their numbers, the first."""
     said = {}
     for place, result in enumerate(comparison.runs):
         for notice in result.run.notices:
@@ -134,7 +134,7 @@ def draw_figures(name: str, comparison: Comparison, folder: Path, progress=lambd
 
 def report_page(comparisons: dict[str, Comparison], values: dict, content: dict, figures: dict[str, list],
                 answers: dict[str, Answer]) -> str:
-    """The content of `report.html`: the answer and the track, then the evidence, folded away."""
+    """The content of `report.html`: the answer and the track, then the evidence in folded sections."""
     sections = []
     for name, comparison in comparisons.items():
         of = f' ({name})' if len(comparisons) > 1 else ''
@@ -165,7 +165,7 @@ def report_page(comparisons: dict[str, Comparison], values: dict, content: dict,
 
 
 def _glance(comparison: Comparison, content: dict, name: str):
-    """The error of each model with fixes, and in the outages, with how often its 95 % ellipse held the truth."""
+    """The error of each model with fixes and in the outages, with the share inside its 95 % ellipse."""
     rows = []
     for model in comparison.models:
         run = next(r for r in content['runs'] if r['recording'] == name and r['model'] == model
@@ -205,7 +205,7 @@ def _run_tables(comparison: Comparison, content: dict, name: str):
 
 
 def _full_table(columns, rows, caption: str):
-    """A table without the columns in which nothing stands."""
+    """A table without empty columns."""
     keep = [i for i in range(len(columns)) if any(row[i] is not None for row in rows)]
     return table([columns[i] for i in keep], [[row[i] for i in keep] for row in rows], caption, digits=3)
 

@@ -1,4 +1,4 @@
-"""What the charts of a page show over time: a replay's estimates and raw signals, a diagnosis before and after."""
+"""Data of the charts over time: estimates of a replay and raw signals, a diagnosis before and after."""
 from __future__ import annotations
 
 import numpy as np
@@ -15,11 +15,11 @@ from .layers import seconds
 
 #: x, y and z, and north, east and down
 AXES = ('#d55e00', '#009e73', '#0072b2')
-#: points of a spectrum, at most
+#: largest number of points of a spectrum
 SPECTRUM = 300
-#: samples of each stretch that Welch's method averages over
+#: number of samples of each segment of Welch's method
 STRETCH = 4096
-#: sigmas that 95 % of normally distributed values lie within
+#: number of standard deviations that contain 95 % of a normal distribution
 TWICE = 1.96
 
 
@@ -34,7 +34,7 @@ def replay_charts(comparison: Comparison, best: str) -> list[Chart]:
 
 
 def diagnosis_charts(diagnosis: Diagnosis) -> list[Chart]:
-    """Errors before and after, innovations as configured, and the raw signals; of one drive."""
+    """Errors before and after, innovations as configured, and the raw signals of one drive."""
     d, [problem] = diagnosis, diagnosis.problem.each
     origin = int(d.recording.imu.stamp[0])
     charts = []
@@ -55,9 +55,9 @@ def diagnosis_charts(diagnosis: Diagnosis) -> list[Chart]:
 
 
 def signal_charts(imu: ImuSamples, origin: int) -> list[Chart]:
-    """Raw samples over time, their spectra, and how regularly they come."""
+    """Raw samples over time, their spectra, and the intervals between them."""
     time = seconds(imu.stamp, origin)
-    order = np.maximum.accumulate(time) == time  # a clock that goes back has no place on a time axis
+    order = np.maximum.accumulate(time) == time  # samples after a step back of the clock are left out
     time, force, rate = time[order], imu.specific_force[order], np.degrees(imu.angular_rate[order])
     step = np.diff(time)
     charts = [Chart('Specific force, sensor axes', 'm/s²', time, _axes(force)),
@@ -76,7 +76,7 @@ def _axes(values: np.ndarray) -> list[Line]:
 
 
 def _spectrum(title: str, unit: str, values: np.ndarray, rate: float) -> list[Chart]:
-    """Amplitude spectral density by Welch's method (P. D. Welch, 1967), as if samples came at an even `rate`, Hz."""
+    """Amplitude spectral density by Welch's method (P. D. Welch, 1967), with a constant sampling `rate`, Hz."""
     values = values[np.isfinite(values).all(axis=1)]
     if len(values) < 64:
         return []
@@ -98,7 +98,7 @@ def _states(run: Run, origin: int) -> list[Chart]:
 
 
 def _with_truth(chart: Chart, comparison: Comparison, origin: int) -> Chart:
-    """`chart` with what the reference says, where that has it."""
+    """`chart` with the values of the reference, if it has them."""
     reference = comparison.truth.reference
     known = {'Height': reference.height, 'Speed': None if reference.velocity is None else
              np.hypot(*reference.velocity[:, :2].T), 'Heading, clockwise from north': None if reference.yaw is None else
@@ -113,7 +113,7 @@ def _with_truth(chart: Chart, comparison: Comparison, origin: int) -> Chart:
 
 
 def _heading(yaw: np.ndarray) -> np.ndarray:
-    """`yaw` (n,) rad as 0 to 360 deg; NaN where it passes north, so that no line is drawn from one end to the other."""
+    """`yaw` (n,) rad as 0 to 360 deg; NaN where it passes north, so that no line is drawn across the chart."""
     heading = np.degrees(yaw) % 360.0
     heading[1:][np.abs(np.diff(heading)) > 180.0] = np.nan
     return heading

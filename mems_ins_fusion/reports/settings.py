@@ -1,4 +1,4 @@
-"""Parameters as a page shows them."""
+"""Parameters on a page."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -7,12 +7,12 @@ from ..parameters import table
 from ..parameters.params_file import yaml_value
 from . import html
 
-#: hashes of recordings, which say nothing to a reader of the page
+#: parameter that is not shown: hashes of recordings
 _LEFT_OUT = ('fitted_to',)
 
 
 def settings_table(values: Mapping, caption: str = '', evidence: Mapping[str, str] | None = None) -> html.Html:
-    """The parameters `values`, by name, each with its unit, and with what it stands on where there is `evidence`."""
+    """The parameters `values` by name, each with its unit, and with its `evidence` if there is any."""
     known, rows = table.parameters_of(dict(values)), []
     for name in (name for name in values if name not in _LEFT_OUT):
         unit = known[name].shown_unit if name in known else ''

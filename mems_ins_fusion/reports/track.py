@@ -1,7 +1,7 @@
-"""The interactive track of a page: layers of positions with what the cursor reads there, drawn by `track.js`.
+"""The interactive track of a page: layers of positions with values under the cursor, drawn by `track.js`.
 
-To scale, with the error against time below it (a chart of `charts.py`), without a network: a base map is fetched only
-for a person who asks for it on the page. Where scripts do not run, and on paper, a still figure stands in its place.
+It is to scale, with the error against time below it (a chart of `charts.py`), and needs no network: a base map is
+downloaded only on request. Without scripts, and on paper, a static figure is shown instead.
 """
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..results import json_text
 from .charts import library
 from .html import Html, _text
 
-#: points of a layer, at most
+#: largest number of points of a layer
 POINTS = 2500
 _HINT = ('Drag to move, wheel or two fingers to zoom, point at a line to read time, speed, error and sigma there. '
          'Click a name to hide or show it. Below, the error against time, dotted twice the sigma of the first line: '
@@ -26,10 +26,11 @@ _HINT = ('Drag to move, wheel or two fingers to zoom, point at a line to read ti
 class Layer:
     """One line or set of points on the map.
 
-    time (n,): s since the recording's start. east, north (n,): m. values: what the cursor reads, by name (`speed` m/s,
-    `error` m, `sigma` m: the filter's horizontal standard deviation), (n,) each; a layer with `error` is also
-    drawn against time. first: index of the first point of each piece, where it is in pieces. ends (p, 4): east and
-    north of the estimate and of the truth at the end of each piece. points: radius in pixels where no line is drawn.
+    time (n,): s since the recording's start. east, north (n,): m. values: under the cursor, by name (`speed` m/s,
+    `error` m, `sigma` m: the filter's horizontal standard deviation), (n,) each; a layer with `error` is also drawn
+    against time. first: index of the first point of each piece, for a layer of several pieces. ends (p, 4): east and
+    north of the estimate and of the truth at the end of each piece. points: radius in pixels for a layer without a
+    line.
     """
 
     name: str
@@ -47,7 +48,7 @@ class Layer:
     dash: tuple[float, ...] = ()
 
     def content(self) -> dict:
-        """As JSON, of at most about POINTS points."""
+        """The layer as JSON, with at most about POINTS points."""
         keep = self._kept()
         content = {'name': self.name, 'colour': self.colour, 'shown': self.shown, 'width': self.width,
                    't': _rounded(self.time[keep], 2), 'x': _rounded(self.east[keep], 2),
@@ -76,8 +77,8 @@ def _rounded(values, digits: int) -> list:
 
 
 def track(layers: list[Layer], still: Html, datum: np.ndarray | None = None) -> Html:
-    """The interactive track. still: what stands there without scripts, and on paper. datum: latitude and longitude of
-    the origin (rad) and its height (m); without it, no base map is offered."""
+    """The interactive track. still: figure without scripts, and on paper. datum: latitude and longitude of the origin
+    (rad) and its height (m); without it, no base map is offered."""
     content = json_text({'layers': [layer.content() for layer in layers if len(layer.time)],
                          'place': None if datum is None else _place(*datum)},
                         separators=(',', ':')).replace('<', '\\u003c')
@@ -99,12 +100,12 @@ def track(layers: list[Layer], still: Html, datum: np.ndarray | None = None) -> 
 
 
 def _place(latitude: float, longitude: float, height: float) -> list[float]:
-    """Latitude and longitude (rad), and the metres north and east that a radian of each is."""
+    """Latitude and longitude (rad), and metres north and east per radian of each."""
     meridian, prime = radii(latitude)
     return [float(v) for v in (latitude, longitude, meridian + height, (prime + height) * np.cos(latitude))]
 
 
 def script() -> Html:
-    """What draws the tracks and the charts of a page; once, at its end."""
+    """The script that draws the tracks and the charts; once, at the end of a page."""
     source = (Path(__file__).parent / 'track.js').read_text(encoding='utf-8')
     return Html(f'{library()}<script>\n{source}</script>')

@@ -28,7 +28,7 @@ POSE_INTERVAL = 0.1
 
 
 def odometry_of(recording: Recording, result: RunResult, datum) -> OdometrySamples:
-    """What a live filter would have published of `recording` where `result` has states: base_link at `datum`.
+    """The odometry of a live filter for `recording` at the states of `result`: base_link at `datum`.
 
     datum: origin of the frame east-north-up, rad, rad, m.
     """
@@ -54,18 +54,18 @@ def write_tum(path: Path, stamp: np.ndarray, position: np.ndarray, orientation: 
 
 
 def write_truth(path: Path, reference: Reference, datum) -> None:
-    """`reference` as TUM text in the frame east-north-up at `datum`, a pose at each of its epochs.
+    """`reference` as TUM text in the frame east-north-up at `datum`, with a pose at each of its epochs.
 
-    Where it has no heading, the orientation is that of the frame.
+    Without a heading the orientation is that of the frame.
     """
     yaw = np.full(len(reference), np.pi / 2) if reference.yaw is None else reference.yaw
     write_tum(path, reference.stamp, _local(reference, datum), _orientation(*np.zeros((2, len(yaw))), np.pi / 2 - yaw))
 
 
 def write_judged(path: Path, run: Run, errors: Errors, reference: Reference, datum) -> None:
-    """What the error of `run` was measured at, as TUM text: where it took the point that `reference` describes to be,
-    at the epochs that count. evo, without alignment, measures the reported error between this file and the truth's.
-    """
+    """The positions at which the error of `run` was measured as TUM text: the point that `reference` describes, by the
+    run, at the epochs that count. evo without alignment measures the reported error between this file and that of the
+    truth."""
     at = np.searchsorted(reference.stamp, errors.stamp)
     position = _local(reference.select(at), datum)
     position[:, 0] += errors.east

@@ -1,4 +1,4 @@
-"""The words of a verdict, the same in every tool: what `evaluation.verdict` decided, in sentences and for JSON."""
+"""Verdicts in words, the same in every tool: the results of `evaluation.verdict` in sentences and as JSON."""
 from __future__ import annotations
 
 import math
@@ -11,14 +11,14 @@ from .html import number
 
 
 def certainly_wrong(findings: Sequence[Remark], values: dict) -> list[Remark]:
-    """What makes a recording not usable with the parameters `values`: nothing sensible can be estimated from it."""
+    """Reasons why a recording is not usable with the parameters `values`."""
     # a planar filter needs three of the six axes
     return [f for f in findings if f.severity == ERROR and not (values['mechanization'] == 'planar'
                                                                 and 'axes' in f.values)]
 
 
 def unsettled_text(left: Remaining) -> str:
-    """Why a params file is not ready: what may still be left of a quantity. Angles in degrees."""
+    """Why a params file is not ready: the remaining range of a quantity. Angles in degrees."""
     if not math.isfinite(left.sigma):
         return f'the {left.name} is not shown'
     what, unit, digits = (('time offset between IMU and fixes', 's', 2) if left.name == TIME_OFFSET else
@@ -29,7 +29,7 @@ def unsettled_text(left: Remaining) -> str:
 
 
 def where_text(change: Change) -> str:
-    """Of which error a change is."""
+    """The error that a change refers to."""
     of = f'{change.where}, ' if change.where else ''
     if change.duration is not None:
         return f'{of}in {change.duration:g} s without fixes'
@@ -37,8 +37,8 @@ def where_text(change: Change) -> str:
 
 
 def change_text(change: Change, level: float, before_is: str = '') -> str:
-    """A change with its interval: where, after instead of before, and by how much in 95 of 100 cases. before_is: what
-    the one before is, where that is not plain."""
+    """A change with its interval: the error, after instead of before, and the 95 % interval of the ratio. before_is:
+    name of the first one, where it is not obvious."""
     before, after = (f'{number(v, _digits(change))} m' for v in (change.before, change.after))
     said = f'{where_text(change)} the error is {after} instead of {before}{f" {before_is}" if before_is else ""}'
     interval = change.interval(level)
@@ -46,12 +46,12 @@ def change_text(change: Change, level: float, before_is: str = '') -> str:
 
 
 def _digits(change: Change) -> int:
-    """Two, or three where two are the same."""
+    """Two digits, or three if both numbers would have the same text."""
     return 2 if number(change.before, 2) != number(change.after, 2) else 3
 
 
 def span_text(low: float, high: float) -> str:
-    """Between which differences of an error, m, the truth lies."""
+    """Interval of the difference of an error, m."""
     if _size(abs(low)) == _size(abs(high)) == '0':
         return 'the same'
     if low >= 0:
@@ -66,14 +66,14 @@ def _size(metres: float) -> str:
 
 
 def counted_text(change: Change) -> str:
-    """What the numbers of a change are."""
+    """What was counted for a change."""
     if change.duration is None:
         return f'root mean square at {change.count} positions'
     return f'mean of the largest error in {change.count} outages'
 
 
 def because(verdict: Verdict) -> list[str]:
-    """What the verdict stands on, line by line."""
+    """The evidence for the verdict, as lines."""
     said = [*verdict.why]
     if verdict.fitted_here:
         said.append('the parameters were fitted to this very recording: what it shows is no proof of a gain')
@@ -84,7 +84,7 @@ def because(verdict: Verdict) -> list[str]:
 
 
 def verdict_json(verdict: Verdict, trust: Trust | None = None) -> dict:
-    """For report.json."""
+    """The verdict for report.json."""
     return {'answer': verdict.answer, 'because': because(verdict),
             'fitted_to_this_recording': verdict.fitted_here,
             'changes': [{'recording': c.where or None, 'duration_s': c.duration, 'every_s': c.every, 'count': c.count,
@@ -93,7 +93,7 @@ def verdict_json(verdict: Verdict, trust: Trust | None = None) -> dict:
 
 
 def trust_json(trust: Trust) -> dict:
-    """For report.json."""
+    """The consistency of the sigmas for report.json."""
     return {'answer': trust.answer, 'because': trust_text(trust),
             'outages': [{'duration_s': h.duration, 'held': h.held, 'count': h.count, 'interval': [h.low, h.high],
                          'p': h.p} for h in trust.held],
@@ -102,7 +102,7 @@ def trust_json(trust: Trust) -> dict:
 
 
 def trust_text(trust: Trust, which: str = '') -> str:
-    """Whether sigmas can be trusted, in a sentence. which: of what filter, where that is not plain."""
+    """Whether sigmas are right, in a sentence. which: name of the filter, where it is not obvious."""
     said = {YES: 'yes', NO: 'no, its sigmas are too small', TOO_CAREFUL: 'its sigmas are too large'}.get(
         trust.answer, 'cannot tell')
     evidence = [held_text(trust.shown)] if trust.shown and trust.answer != TOO_CAREFUL else []
@@ -113,17 +113,17 @@ def trust_text(trust: Trust, which: str = '') -> str:
 
 
 def too_small_text(trust: Trust) -> str:
-    """What shows that its sigmas are too small."""
+    """Evidence that its sigmas are too small."""
     return held_text(trust.shown) if trust.scale is None else scale_text(trust.scale)
 
 
 def held_text(held: Held) -> str:
-    """How often the ellipse held the truth."""
+    """Share of the errors inside the ellipse."""
     return (f'the 95 % ellipse held the truth in {held.held} of {held.count} outages of {held.duration:g} s '
             f'({100 * held.low:.0f} to {100 * held.high:.0f} %)')
 
 
 def scale_text(scale: Scale) -> str:
-    """How large errors are by the sigmas."""
+    """Ratio of the errors to the sigmas."""
     where = 'with fixes' if scale.duration is None else f'in {scale.duration:g} s without fixes'
     return f'errors {where} are {scale.value:.2g} sigma RMS ({scale.low:.2g} to {scale.high:.2g}; 1 is right)'
