@@ -1,9 +1,8 @@
-"""What the latest minutes show without a filter of time offsets, antenna, mounting and inputs, as findings to be
-proven.
+"""Time offsets, antenna, mounting and inputs from the latest minutes without a filter, as findings to be proven.
 
-The estimates are those of `configure`; a look at some minutes takes half a second of work, where an analysis of them by
-`diagnose` takes half a minute. So it can be had each minute or sooner, of the latest one alone too: a value that has
-changed shows before it is most of what is kept.
+The estimates are those of `configure`. A look at some minutes takes half a second, an analysis of them by `diagnose`
+half a minute. So looks are made each minute or more often, also of the latest minute alone, in which a changed value is
+found long before it dominates the kept samples.
 """
 from __future__ import annotations
 
@@ -31,18 +30,18 @@ from .findings import Finding
 from .held_out import HeldOut
 from .window import cut, seconds
 
-#: s before now, of the samples that are looked at: the shortest first, in which a change shows
+#: s, lengths of the latest samples that are used, the shortest first, in which a change is found first
 LOOKED_AT = (60.0, 120.0, 240.0)
 
 
 def shown_directly(recording: Recording, values: dict) -> list[Finding]:
-    """What is left for certain of the checked parameters `values` in the latest samples of `recording`."""
+    """Significant errors of the checked parameters `values` in the latest samples of `recording`."""
     return [finding for finding in looked(recording, values) if finding.added]
 
 
 def looked(recording: Recording, values: dict) -> list[Finding]:
-    """As `shown_directly`, with what is as given as far as the latest samples show: not `added`, with what may be left
-    of each parameter that they show (`settled`: so little that it does not matter)."""
+    """As `shown_directly`, with the parameters that are confirmed by the latest samples: these are not `added`, and
+    have their possible remaining errors (`settled`: too small to matter)."""
     found: dict[str, Finding] = {}
     for length in LOOKED_AT:
         for name, finding in _shown(cut(recording, length), values).items():
@@ -64,9 +63,9 @@ def _shown(part: Recording, values: dict) -> dict[str, Finding]:
     small = dict(zip(ANGLES, (SMALL_TILT, SMALL_TILT, SMALL_YAW)))
     effects = _of_inputs(part, mounting, values)
     effects['gnss_time_offset'] = {'time_offset': left[TIME_OFFSET]}, {'time_offset': SMALL_OFFSET}
-    effects['gnss_lever_arm'] = arm, dict.fromkeys('xy', SMALL_ARM)  # heights of fixes are too vague for z
+    effects['gnss_lever_arm'] = arm, dict.fromkeys('xy', SMALL_ARM)  # heights of fixes are too inaccurate for z
     effects['mounting_rotation'] = {name: left[name] for name in ANGLES}, small
-    # what was not driven yet may be the slope of the road
+    # the estimate may be the slope of the road until others have been driven
     driven = mounting is not None and mounting.yaw_known
     vague = {'gnss_lever_arm': dict.fromkeys('xyz', VAGUE_ARM), 'mounting_rotation': small}
     since = int(part.imu.stamp[0])
@@ -82,7 +81,7 @@ def _shown(part: Recording, values: dict) -> dict[str, Finding]:
 
 
 def _as_given(name: str, sizes: dict[str, Remaining], least: dict[str, float], since: int) -> Finding:
-    """What may be left of an effect of which nothing is left for certain. least: what does not matter."""
+    """Possible remaining error of an effect without a significant one. least: size that does not matter."""
     units = {one.name: one.unit for one in effect_called(name).traced}
     left = {n: Estimate(one.value, one.sigma, units[n]) for n, one in sizes.items() if math.isfinite(one.sigma)}
     settled = all(sizes[n].settled(most) for n, most in least.items())
@@ -91,8 +90,8 @@ def _as_given(name: str, sizes: dict[str, Remaining], least: dict[str, float], s
 
 
 def _of_inputs(part: Recording, mounting: Mounting | None, values: dict) -> dict[str, tuple[dict, dict]]:
-    """By effect: what may be left of the inputs' clocks, low passes, axes and shares of the dynamic pressure, but for
-    what the filter estimates itself, and what of it does not matter."""
+    """By effect: remaining errors of the inputs' clocks, low passes, axes and shares of the dynamic pressure, except
+    for those that the filter estimates itself, and the sizes that do not matter."""
     found: dict[str, tuple[dict, dict]] = {}
     for name, clock in clocks_left(part, part.imu, mounting, values).items():
         low_pass = clock.low_pass.left(values[f'{name}.lag']) if clock.low_pass is not None else None

@@ -1,18 +1,18 @@
-"""The diagnosis of a vehicle while it drives: what `diagnose` finds in the last minutes, proven on what comes after.
+"""Diagnosis while driving: the findings of `diagnose` from the last minutes, proven on the samples after them.
 
-The samples come in chunks (`gathering.py`), of which each ends at a stamp of the IMU: what is said after a chunk
-depends on nothing but the samples until then, live and in a replay. What an analysis finds is on trial from then on:
-two filters, with the parameters as they are and with the finding, go without fixes for 5, 10 and 30 s again and again
-through samples that neither the estimate nor the analysis has seen. What the fixes at the end of each outage say of the
-two is a bet (`filter/runs/betting.py`): a finding that does not help is proven with a probability that is bounded
-however often one looks, and no sigma is asked, neither of the estimate nor of the filters. The same with the two
-filters changed over says that a finding does harm.
+The samples come in chunks (`gathering.py`), each of which ends at a stamp of the IMU. The state after a chunk depends
+only on the samples up to its end, live and in a replay. A finding of an analysis is *on trial* at first: two filters,
+one with the present parameters and one with the finding, are run without fixes for 5, 10 and 30 s again and again, on
+samples that neither the estimate nor the analysis has used. The fixes at the end of each outage decide a bet
+(`filter/runs/betting.py`). The probability that a finding that does not help is ever proven is bounded, however often
+this is repeated, and does not depend on the sigmas of the estimate or of the filters. The same test with the two
+filters exchanged shows that a finding does harm.
 
-With diagnosis.online `apply` a proven finding becomes part of the parameters that drive, and the filter without it goes
-through the outages beside. What was true for an hour may be wrong from one minute to the next (a driver that restarts,
-an antenna that is moved), and an hour of good outages must not have to be lost first: the wealth against it never falls
-below what it began with. Where the finding does good, such a wealth comes to 1 / a once in 1 / a outages at most (J.
-Shin, A. Ramdas and A. Rinaldo, "E-detectors", New England J. of Statistics in Data Science 2, 2024).
+With diagnosis.online `apply` a proven finding becomes part of the parameters that are used, and the filter without it
+is run in the outages for comparison. A finding that was right for an hour may become wrong at any time (a driver
+restarts, an antenna is moved), and the evidence of this hour must not delay its removal: the wealth against the finding
+never falls below its initial value. If the finding is right, this wealth reaches 1 / a at most once in 1 / a outages
+(J. Shin, A. Ramdas and A. Rinaldo, "E-detectors", New England J. of Statistics in Data Science 2, 2024).
 """
 from __future__ import annotations
 
@@ -38,42 +38,43 @@ from .trial import DOUBTED, Trial
 from .trial_outages import SETTLING, Predictions, pairs
 from .window import behind, cut, joined, jumps, seconds
 
-#: s of samples before the first analysis
+#: s of samples before the first analysis. Chosen, not measured
 FIRST = 120.0
-#: the next ones of all that is kept come when there is so much more, as a part of what there was, then each window:
-#: what two minutes do not show, three often do
+#: growth of the kept samples, relative, until the next analysis of all of them; with a full window, one in each window.
+#: Three minutes often show what two do not
 MORE = 0.5
-#: s: the latest samples are analysed as often, and as many of them: a change shows there first
+#: s, length of the latest samples that are analysed separately, and interval of these analyses: a change of the vehicle
+#: is found in them first
 LATEST = 240.0
-#: s of samples from one look to the next where more than LATEST are kept; else there is one after each chunk
+#: s of samples between two looks if more than LATEST are kept; otherwise there is one after each chunk
 LOOKED = 60.0
-#: s without fixes, that the analyses judge by
+#: s, durations of outages by which analyses compare
 ANALYSED = (10.0, 30.0)
-#: s of a core that an analysis takes at most, beside what the chunks take anyway: 10 to 30 of some minutes at 100 Hz.
-#: With diagnosis.share of it that is the time after which its result counts, live and in a replay
+#: s of CPU time for an analysis, besides that for the chunks; it takes 10 to 30 for some minutes at 100 Hz. Divided by
+#: diagnosis.share, it is the time after which the result is used, live and in a replay
 ANALYSIS = 60.0
-#: behind the name of a value on trial where another one of the same effect is applied
+#: end of the name of a value on trial if another value of the same effect is applied
 OTHER = ', another value'
-#: s: a chunk that is shorter is of samples with wild stamps
+#: s, shortest chunk that is used: a shorter one has faulty stamps
 SHORTEST = 1.0
-#: s of samples before a trial whose outages show for how long errors last
+#: s of samples before a trial in whose outages the correlation time of the errors is estimated
 SEEN = 60.0
-#: part of the samples before an analysis that are there: the first stamp of a chunk is not the last of the one before
+#: share of the wanted samples with which an analysis begins: between two chunks an interval is missing
 NEARLY = 0.99
 
-#: recording and parameters to what is found there
+#: function from recording and parameters to findings
 Find = Callable[[Recording, dict], list[Finding]]
 
 
 class Abandoned(Exception):
-    """Raised in an analysis by who does it (`Online.is_abandoned`): nobody wants its result any more."""
+    """Raised in an analysis (`Online.is_abandoned`) whose result is no longer needed."""
 
 
 @dataclass
 class Analysis:
-    """An analysis that has begun. due: number of the chunk with whose answer the result counts, whenever that is there.
-    latest: whether it is of the latest samples alone. trials: what was on trial when it began. shown: what looks have
-    found since. findings: None until it is done. problem: why there are none."""
+    """An analysis that has begun. due: number of the chunk with whose answer the result is used, even if it is ready
+    earlier. latest: whether it uses only the latest samples. trials: those at its begin. shown: findings of looks since
+    then. findings: None until it is done. problem: why there are none."""
 
     part: Recording
     values: dict
@@ -88,40 +89,40 @@ class Analysis:
 class Online:
     """The diagnosis of a vehicle whose filter has the checked parameters `values`.
 
-    find: an analysis, recording and parameters to findings; by default what `diagnose` would add. look: the same
-    without a filter, each LOOKED s, and what is as given; by default `looked`. kept: what an earlier drive has proven;
-    it drives, and is SUSPECT until it is proven again.
+    find: an analysis, from recording and parameters to findings; by default those that `diagnose` would add. look: a
+    quick one without a filter, each LOOKED s, with the parameters that are confirmed; by default `looked`. kept:
+    findings proven in an earlier drive, which are applied and are SUSPECT until they are proven again.
 
-    An analysis takes longer than the chunks wait for: its result counts with the answer to a later chunk, the same one
-    whenever it is there. `analyse` does it before; else that chunk waits for it.
+    An analysis takes longer than a chunk: its result is used with the answer to a later chunk, always the same one.
+    `analyse` does it in advance; otherwise this chunk waits for it.
     """
 
     def __init__(self, values: dict, find: Find | None = None, look: Find | None = None, kept: Sequence[Kept] = ()):
         self._values, self._find, self._look = {**values, 'bag': []}, find or found, look or looked
         self._applies = values['diagnosis.online'] == 'apply'
         self._length = values['diagnosis.window']
-        self._wait = math.ceil(ANALYSIS / (CHUNK * values['diagnosis.share'])) - 1  # chunks, of an analysis
-        self._taken = self._concluded = 0  # chunks, and analyses whose result counts
-        self._analysis: Analysis | None = None  # which has begun, and whose result does not count yet
+        self._wait = math.ceil(ANALYSIS / (CHUNK * values['diagnosis.share'])) - 1  # number of chunks for an analysis
+        self._taken = self._concluded = 0  # numbers of chunks, and of analyses whose result has been used
+        self._analysis: Analysis | None = None  # it has begun, and its result has not been used yet
         self._doing: Analysis | None = None
         self._window: Recording | None = None
         # s of samples since the last analysis, the last one of the latest ones, and the last look
         self._since = self._lately = self._unseen = 0.0
-        self.trials: dict[str, Trial] = {}  # of what is not applied
+        self.trials: dict[str, Trial] = {}  # findings that are not applied
         self.applied: dict[str, Trial] = {}
         self._analyses = self._begins = 0  # number of analyses; ns, the first stamp
         self._false_alarms = FalseAlarms()
         self._why = ''
-        self._as_given: dict[str, Finding] = {}  # what looks have shown that is not off for certain
-        self._advice: dict[str, Advice] = {}  # what would show more of that
-        self._unadvised: list[Trial] = []  # those that came on trial with the newest answer
+        self._as_given: dict[str, Finding] = {}  # parameters that looks have confirmed
+        self._advice: dict[str, Advice] = {}  # manoeuvres that would show them better
+        self._unadvised: list[Trial] = []  # trials that began with the newest answer
         for one in kept if self._applies else ():
             self.applied[one.name] = Trial(_known(one, one.parameters), one.sets, applied=True, kept=one,
                                            **self._false_alarms.next())
 
     @property
     def _due(self) -> float:
-        """s of samples from one analysis of all that is kept to the next."""
+        """s of samples between two analyses of all samples that are kept."""
         later = FIRST * MORE * (1.0 + MORE) ** (self._analyses - 1)
         return min(later if self._analyses else FIRST, self._length)
 
@@ -132,21 +133,21 @@ class Online:
 
     @property
     def wanted(self) -> Findings:
-        """What the filters should have."""
+        """The findings for the filters."""
         tried = {name: trial.sets for name, trial in self.trials.items() if self._applies and not trial.rejected}
         return Findings({name: trial.sets for name, trial in self.applied.items()}, tried)
 
     @property
     def sets(self) -> dict:
-        """Parameters that it should have, beside those that it was given."""
+        """Changes of the given parameters for the filter that drives."""
         return self._sets()
 
     def _sets(self, without: str = '') -> dict:
         return together(trial for name, trial in self.applied.items() if name != without)
 
     def take(self, chunk: Recording, dropped: Sequence[Dropped] = ()) -> list[Quantity]:
-        """What is known after `chunk`, the samples since the one before it. dropped: what the filter that drives has
-        dropped in it."""
+        """The findings after `chunk`, the samples since the previous one. dropped: findings that the filter has dropped
+        in it."""
         self.advise()
         chunk = usable(chunk, self._values['imu.max_specific_force'], self._values['imu.max_angular_rate'])
         if seconds(chunk) < SHORTEST:
@@ -189,11 +190,11 @@ class Online:
 
     @property
     def _is_doubted(self) -> bool:
-        """Whether what is applied would be taken back if the last minutes showed another value: a look decides it."""
+        """Whether an applied finding would be removed if the last minutes show another value: then a look decides."""
         return self._applies and any(trial.seen and trial.harm >= DOUBTED for trial in self.applied.values())
 
     def _looked(self) -> list[Finding]:
-        """What a look at the latest samples shows to be off."""
+        """Findings of a look at the latest samples."""
         self._unseen = 0.0
         seen = self._look(self._window, {**self._values, **self.sets})
         off = {one.name for one in seen if one.added}
@@ -206,8 +207,8 @@ class Online:
         return [one for one in seen if one.added]
 
     def _begin_analysis(self) -> None:
-        """Begin one where one is due, of the latest samples or of all that is kept, whichever has waited longer as a
-        part of its interval; one after the other."""
+        """Begin an analysis that is due, of the latest samples or of all that are kept: the one that has waited longer
+        relative to its interval. Only one runs at a time."""
         young = seconds(self._window) <= LATEST
         latest, whole = 0.0 if young else self._lately / LATEST, self._since / self._due
         if self._analysis is not None or max(latest, whole) < NEARLY:
@@ -223,19 +224,18 @@ class Online:
 
     @property
     def is_awaited(self) -> bool:
-        """Whether the next chunk needs the result of an analysis that is not there."""
+        """Whether the next chunk needs the result of an analysis that is not done."""
         analysis = self._analysis
         return analysis is not None and analysis.findings is None and self._taken + 1 >= analysis.due
 
     @property
     def is_abandoned(self) -> bool:
-        """Whether nobody wants the result of the analysis that is being done any more."""
+        """Whether the result of the running analysis is no longer needed."""
         return self._doing is not None and self._doing is not self._analysis
 
     def analyse(self) -> None:
-        """Do the analysis that has begun, where there is one that is not done. What is called from time to time while
-        it goes on may `take` the next chunk unless the result `is_awaited`, and raises Abandoned where it
-        `is_abandoned`."""
+        """Do the analysis that has begun, if it is not done. The function that is called from time to time meanwhile
+        may `take` the next chunk unless the result `is_awaited`, and raises Abandoned if it `is_abandoned`."""
         analysis = self._analysis
         if analysis is None or analysis.findings is not None:
             return
@@ -250,7 +250,7 @@ class Online:
             self._doing = None
 
     def _conclude(self) -> None:
-        """Trials of what the analysis has found. What came on trial since it began is of later samples, and stays."""
+        """Put the findings of the analysis on trial. Trials that began after it are of later samples and continue."""
         self.analyse()
         analysis, self._analysis = self._analysis, None
         self._why = analysis.problem
@@ -266,8 +266,8 @@ class Online:
                 self._put_on_trial(replace(finding, since=since), analysis.latest)
 
     def _put_on_trial(self, finding: Finding, latest: bool, again: bool = True) -> None:
-        """latest: as of `Analysis`. again: what has lost on trial may be tried once more. What drove until a change may
-        come back with the next one."""
+        """latest: as in `Analysis`. again: whether findings that have lost a trial may be tried again. A value that was
+        applied before a change of the vehicle may come back with the next change."""
         name, driving, trial = finding.name, self.applied.get(finding.name), self.trials.get(finding.name)
         if driving is not None and not (latest and driving.differs(finding)):
             return
@@ -280,12 +280,12 @@ class Online:
             self._unadvised.append(trial)
 
     def advise(self) -> None:
-        """Find what would show more of what came on trial with the newest answer, else of what has not been seen well
-        enough yet. It is told with the next one, whose
-        chunk does it where nobody has before: it takes several times as long as the answer itself."""
+        """Find manoeuvres that would show the findings with new trials better, else one of the parameters that are not
+        confirmed with certainty. The advice is part of the next answer. If it has not been found before the next chunk,
+        this chunk does it, which takes several times as long as the answer itself."""
         for trial in self._unadvised:
             trial.advice = advised(trial.finding, self._window, {**self._values, **self.sets})
-        # in the first minutes all time goes into looks and trials
+        # in the first minutes all time is used for looks and trials
         name = next((name for name in self._unsettled if name not in self._advice), None)
         if not self._unadvised and name is not None and seconds(self._window) > LATEST:
             self._advice[name] = advised(_not_seen_as_usual(self._as_given[name]), self._window,
@@ -294,12 +294,12 @@ class Online:
 
     @property
     def _unsettled(self) -> list[str]:
-        """What is as given as far as looks show, and not for certain."""
+        """Parameters that looks have confirmed, but not with certainty."""
         return [name for name, one in self._as_given.items()
                 if not (one.settled or name in self.trials or name in self.applied)]
 
     def _is_worth_saying(self, name: str) -> bool:
-        """Whether the advice on what is as given still is: not where its sigma has become as small anyway."""
+        """Whether the advice on a confirmed parameter is still useful: its sigma has not become as small anyway."""
         one, advice = self._as_given.get(name), self._advice[name]
         if one is None or one.settled:
             return False
@@ -308,11 +308,11 @@ class Online:
 
     @property
     def begun(self) -> int:
-        """How many trials there have been."""
+        """Number of trials so far."""
         return self._false_alarms.begun
 
     def _try(self, chunk: Recording, before: Recording) -> None:
-        """The outages of `chunk` through the present filter, and through that of each trial. before: the window without
+        """Run the outages of `chunk` with the present filter and with that of each trial. before: the window without
         it."""
         running = [trial for trial in self.trials.values() if not trial.rejected]
         if not (running or self.applied) or not len(chunk.gnss):
@@ -323,7 +323,7 @@ class Online:
                      for name, trial in self.applied.items()]
         for trial, *both in compared:
             latest = cut(before, SEEN)
-            if not trial.taken and len(latest.gnss):  # for how long errors last, before anything is staked
+            if not trial.taken and len(latest.gnss):  # for the correlation time of the errors
                 trial.see(_outages(trial, both, before, latest, {}))
             trial.take(_outages(trial, both, self._window, chunk, known), self._now)
         self._false_alarms.pass_on((*self.trials.values(), *self.applied.values()))
@@ -331,49 +331,50 @@ class Online:
             self._decide()
 
     def _decide(self) -> None:
-        """Apply what is proven, and take back what does harm; one at a time, as each changes what others compare."""
+        """Apply a proven finding, or remove a harmful one; one at a time, as each changes the filters that others are
+        compared with."""
         proven = next((name for name, trial in self.trials.items() if trial.proven), None)
         if proven not in self.applied and self._take_back_harmful():
             return
-        if proven in self.applied:  # another value is proven, which takes its place
+        if proven in self.applied:  # the proven value replaces the applied one
             self._window = cut(self._window, LATEST)
         if proven is not None:
             self._apply(proven)
 
     def _take_back_harmful(self) -> bool:
-        """Take back one of those applied that does harm; whether there is one."""
+        """Remove an applied finding that does harm; returns whether there is one."""
         harmful = next((name for name, trial in self.applied.items() if trial.rejected), None)
         if harmful is not None:
             self._take_back(harmful)
-            self._window = cut(self._window, LATEST)  # what came before the change is of another vehicle
+            self._window = cut(self._window, LATEST)  # earlier samples are those of the vehicle before the change
         return harmful is not None
 
     def _take_back(self, name: str) -> None:
-        """Have the trial of this name no longer in the parameters that drive."""
-        self._as_given, self._advice = {}, {}  # of the vehicle as it was, too
+        """Remove the finding of this name from the parameters that are used."""
+        self._as_given, self._advice = {}, {}  # these also belong to the vehicle before the change
         trial = self.applied.pop(name)
         trial.applied, trial.proven, trial.harmful, trial.kept = False, False, True, None
-        self.trials[name] = trial  # another value on trial is what was left beside this one
+        self.trials[name] = trial  # another value on trial was relative to this one
         self._changed_by(trial)
 
     def _apply(self, name: str) -> None:
-        """Have the trial of this name in the parameters that drive."""
+        """Add the finding of this name to the parameters that are used."""
         trial = self.applied[name] = self.trials.pop(name)
         trial.apply(self._now)
         self._changed_by(trial)
 
     def _changed_by(self, trial: Trial) -> None:
-        """The parameters that drive are others: an analysis that goes on is of those before, and so is what the other
-        trials have shown."""
+        """The parameters that are used have changed: a running analysis and the results of the other trials refer to
+        the earlier ones."""
         self._analysis = None
         if effect_called(trial.finding.name).held(self._values) != self._values:
-            return  # each of the filters estimates it, and predicts as before
+            return  # each of the filters estimates it, so the predictions have not changed
         for other in (*self.trials.values(), *self.applied.values()):
             if other is not trial:
                 other.begin_anew()
 
     def _begin_anew_since(self, dropped: Sequence[Dropped]) -> None:
-        """The vehicle is another one since the filter has dropped what was right before."""
+        """Begin anew after a change of the vehicle, because of which the filter has dropped a finding."""
         for one in dropped:
             self._take_back(one.name)
             self.trials[one.name].begin_anew()
@@ -383,25 +384,25 @@ class Online:
         self._analyses = self._concluded = 0
 
     def accept(self) -> list[Quantity]:
-        """Apply all that is on trial and has not been shown to do harm, as a user asks."""
+        """Apply all findings on trial that have not been shown to do harm, on request of the user."""
         for name in [name for name, trial in self.trials.items() if not trial.rejected]:
             self._apply(name)
         return self.quantities()
 
     def reject(self) -> list[Quantity]:
-        """Take back all that is applied, and end all trials, as a user asks; what is found again is tried again."""
+        """Remove all applied findings and end all trials, on request of the user. A finding may be tried again later.
+        """
         self.trials, self.applied, self._analysis, self._unadvised = {}, {}, None, []
         return self.quantities()
 
     def reset(self) -> list[Quantity]:
-        """Forget all but how many trials there have been, as after work on the vehicle."""
+        """Forget everything except the number of trials, as after work on the vehicle."""
         self._window, self._since, self._lately, self._analyses, self._concluded = None, 0.0, 0.0, 0, 0
         self._as_given, self._advice = {}, {}
         return self.reject()
 
     def quantities(self) -> list[Quantity]:
-        """What is known now, one for each finding, or one of the name `all`; and one for each quantity that is as given
-        as far as looks show."""
+        """The present findings, or one entry with the name `all`; and one for each confirmed parameter."""
         now = self._now
         told = [trial.quantity(now, name) for name, trial in self.applied.items()]
         told += [trial.quantity(now, f'{name}{OTHER if name in self.applied else ""}')
@@ -427,7 +428,7 @@ def _outages(trial: Trial, both: list[dict], window: Recording, chunk: Recording
     """By duration, how far the fixes are from the filters with `both` parameters in the outages of `chunk`, at the end
     of `window`. known: predictions of this chunk, by the first sample of the filters."""
     part, effect = cut(window, SETTLING + seconds(chunk)), effect_called(trial.finding.name)
-    # samples from before a change would lead the filter astray that is right after it
+    # with samples from before a change, the filter that is right after it would start with errors
     since = max(trial.finding.since, int(part.imu.stamp[0]))
     predictions = known.setdefault(since, Predictions(behind(part, since), chunk))
     lasting = effect.lasting(both[-1])
@@ -436,7 +437,7 @@ def _outages(trial: Trial, both: list[dict], window: Recording, chunk: Recording
 
 
 def as_given_quantity(now: int, one: Finding, advice: Advice | None) -> Quantity:
-    """What is as given as far as a look has shown, in words. now: ns, stamp of the newest sample."""
+    """A confirmed parameter in words. now: ns, stamp of the newest sample."""
     left = ', '.join(f'{parameter} {e.text()}' for parameter, e in one.parameters.items())
     return Quantity(now, one.name, FINE if one.settled else COARSE if left else INITIALISING, one.parameters,
                     text=f'{left} left of what is given' if left else 'does not show in what was driven so far',
@@ -444,17 +445,17 @@ def as_given_quantity(now: int, one: Finding, advice: Advice | None) -> Quantity
 
 
 def _not_seen_as_usual(one: Finding) -> Finding:
-    """`one` with the usual size of what has not been seen at all as its sigma."""
+    """`one` with the usual size as the sigma of parameters that have not been observed at all."""
     usual = {p.name: Estimate(0.0, p.prior_scale, p.unit) for p in effect_called(one.name).traced}
     return replace(one, parameters={**usual, **one.parameters})
 
 
 def _known(kept: Kept, parameters: dict) -> Finding:
-    """A finding of an earlier drive, with these parameters of the effect now."""
+    """A finding of an earlier drive, with the parameters of the effect for now."""
     return Finding(kept.name, [kept.name], parameters, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=kept.sets)
 
 
 def found(recording: Recording, values: dict, progress: Callable = lambda part, what: None) -> list[Finding]:
-    """What `diagnose` finds in `recording`, proves there, and has parameters against."""
+    """Findings of `diagnose` in `recording` that it proves there, and contradictions to parameters."""
     return [replace(f, least=systematic(f.parameters)) for f in diagnose(
         recording, values, progress, durations=ANALYSED).findings if f.added and f.changes]

@@ -1,4 +1,4 @@
-"""What the diagnosis while driving says of one thing, in the words of receivers that calibrate themselves."""
+"""State of each finding of the diagnosis while driving, in the terms of receivers that calibrate themselves."""
 from __future__ import annotations
 
 import math
@@ -10,25 +10,25 @@ from ..effects.registry import effect_called
 from .estimate import Estimate
 
 INITIALISING, COARSE, FINE, SUSPECT = 'INITIALISING', 'COARSE', 'FINE', 'SUSPECT'
-#: for those who have not read of them
+#: explanations of the states
 MEANING = {INITIALISING: 'too few samples yet', COARSE: 'found, being tested', FINE: 'proven by what came after',
            SUSPECT: 'not certain any more'}
-#: the same where the parameters are as given
+#: explanations if the parameters are as given
 AS_GIVEN = {INITIALISING: MEANING[INITIALISING], COARSE: 'as given, as far as is seen', FINE: 'right as given'}
-#: of an analysis that has found nothing, and of which quantity that and INITIALISING are said
+#: state of an analysis without findings, and name of the quantity that it and INITIALISING refer to
 NOTHING, ALL = 'NOTHING FOUND', 'all'
-#: of the filter that drives, where it goes on with what has been found
+#: state of the filter if it uses a finding
 CHANGED = 'CHANGED'
-#: s, a year: a value that nobody has seen for so long may have become any other that would surprise nobody
+#: s, a year: a value that has not been observed for this long may have any usual value
 ANOTHER = 365.25 * 86_400.0
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is known of one thing. time: ns, stamp of the newest sample. sets: lines of a params file. better: by
-    duration, mean error m without and with it, and of how many outages. Without lines the parameters are as given, as
-    far as is seen, and `parameters` what may be left. text: in words. applied: whether the filter
-    that drives is to have it. kept: it for the next drive, where it is applied."""
+    """State of one finding. time: ns, stamp of the newest sample. sets: lines for a params file. better: by duration,
+    mean error m without and with it, and the number of outages. Without lines the parameters are right as given, as far
+    as is known, and `parameters` are possible remaining errors. text: in words. applied: whether the filter is to use
+    it. kept: the finding for the next drive, if it is applied."""
 
     time: int
     name: str
@@ -43,30 +43,31 @@ class Quantity:
 
     @property
     def sentence(self) -> str:
-        """State and text, for a person."""
+        """State and text as a sentence."""
         meaning = (MEANING if self.sets else AS_GIVEN).get(self.state)
         return f'{self.state}{f" ({meaning})" if meaning else ""}: {self.text}'
 
     @property
     def is_as_given(self) -> bool:
-        """Whether it is of parameters that are as given, as far as is seen."""
+        """Whether it confirms parameters as given."""
         return not self.sets and self.name != ALL
 
     @property
     def is_to_look_at(self) -> bool:
-        """Whether a person should know: proven, or not certain any more. What is right as given needs nobody."""
+        """Whether the user should know: it is proven, or has become uncertain. Confirmed parameters need no attention.
+        """
         return self.state == SUSPECT or self.state == FINE and bool(self.sets)
 
     @property
     def said(self) -> tuple:
-        """What is news when it changes."""
+        """The parts whose change is reported."""
         return self.name, self.state, self.sets, self.applied, self.advice
 
 
 @dataclass(frozen=True)
 class Kept:
-    """What an earlier drive has proven of a vehicle: the parameters of one effect, and those of the filter that go with
-    them. found: ns, stamp of the sample at which it was proven; 0: nobody knows."""
+    """A finding proven in an earlier drive: the parameters of one effect, and those of the filter for it. found: ns,
+    stamp of the sample at which it was proven; 0: unknown."""
 
     name: str
     parameters: dict[str, Estimate]
@@ -74,8 +75,8 @@ class Kept:
     found: int = 0
 
     def aged(self, now: int) -> dict[str, Estimate]:
-        """The parameters of the effect as sure as they are at the stamp `now`, ns: the variance grows with the time
-        since, as of a random walk."""
+        """The parameters of the effect at the stamp `now`, ns: their variance grows with time like that of a random
+        walk."""
         walked = min(max((now - self.found) * 1e-9 / ANOTHER, 0.0), 1.0) if self.found else 0.0
         scales = {one.name: one.prior_scale for one in effect_called(self.name).traced}
         return {name: replace(e, sigma=math.hypot(e.sigma, math.sqrt(walked) * scales.get(name, 0.0))) if e.known else e
@@ -83,13 +84,13 @@ class Kept:
 
 
 class Findings(NamedTuple):
-    """What the filters should have: parameters by name of each finding. applied: in the one that drives. tried: each in
-    one beside it, which takes over when it is proven."""
+    """Findings for the filters: parameters by name of each finding. applied: in the filter that is used. tried: each in
+    a parallel filter, which takes over when the finding is proven."""
 
     applied: dict[str, dict]
     tried: dict[str, dict]
 
 
 def together(ones: Iterable) -> dict:
-    """The parameters of all of these, each with its `sets`: where two set the same one, as the later one has it."""
+    """All parameters of these findings with their `sets`; if two set the same parameter, the later one counts."""
     return {name: value for one in ones for name, value in one.sets.items()}

@@ -1,4 +1,4 @@
-"""A finding on trial: what outages after it say for it and against it, its state, and how that is told."""
+"""A finding on trial: the bets on it in the outages after it, its state, and the state in words."""
 from __future__ import annotations
 
 import math
@@ -13,34 +13,35 @@ from .findings import Finding
 from .quantity import COARSE, FINE, SUSPECT, Kept, Quantity
 from .trial_outages import OUTAGES, Place
 
-#: outages in which what is applied and does good is taken back once at most: a day of the shortest ones
+#: wealth against an applied finding at which it is removed. A useful finding is removed at most once in this many
+#: outages, a day of the shortest ones
 TAKEN_BACK = 86_400.0
-#: wealth against it in outages of one duration with which nothing is proven: what follows the errors of the fixes, and
-#: so predicts the next one, predicts worse over half a minute. With as much in all outages it is taken back where the
-#: last minutes show another value: then it takes both to be wrong by chance. An antenna shows in turns alone, and one
-#: or two turns after it has been moved do not reach TAKEN_BACK
+#: wealth against a finding in outages of one duration above which it is not proven: parameters that follow the errors
+#: of the fixes predict the next fix better, but worse over half a minute. If this wealth is reached in all outages and
+#: the last minutes show another value, an applied finding is removed: both would have to be wrong by chance. An antenna
+#: is observed only in turns, and one or two turns after it has been moved do not reach TAKEN_BACK
 DOUBTED = 20.0
-#: of the bets on one duration: those on each outage add up what is seen of small differences (fixes of metres), those
-#: on clear ones alone lose nothing on a straight road
+#: smallest distance of the predictions for the two bets on each duration: bets on all outages add up small differences
+#: (fixes of metres); bets only on clear ones lose nothing on a straight road
 STAKED = (0.0, CLEAR)
-#: s without fixes, of each duration, before the first stake: errors that last for seconds have shown that by then
+#: s without fixes, of each duration, before the first stake, in which the correlation time of errors is estimated
 UNSTAKED = 30.0
-#: of a parameter in a line to copy
+#: number of digits of a parameter in a line to copy
 DIGITS = 5
 
 
 @dataclass
 class Trial:
-    """A finding on trial. sets: parameters as it would have them. needed: wealth with which it is proven. number: the
-    how many-th trial of the drive. share: probability of proving it by chance (`false_alarms.py`).
+    """A finding on trial. sets: parameters with the finding. needed: wealth with which it is proven. number: of the
+    trial in this drive. share: probability of proving it by chance (`false_alarms.py`).
 
-    applied: whether it is part of the parameters that drive. harmful: it was, and has been taken back. seen: whether no
-    later analysis speaks against it. kept: for the next drive, where it is applied. advice: what would show more of it.
-    errors: by duration, m, without it and with it in each outage. bets: by duration, and by how far the predictions
-    have to be apart (`betting.CLEAR`), for it with what came in until now: of the wealth 1 that a trial begins with,
-    1 / (k (k + 1)) comes into the bets with the k-th chunk. So what is lost on a straight road, where the state of
-    either filter decides by chance, need not be won again in the next turn; and as no wealth is made by that, what
-    chance proves stays as seldom. taken: chunks.
+    applied: whether it is part of the parameters that are used. harmful: whether it was, and has been removed. seen:
+    whether no later analysis contradicts it. kept: for the next drive, if it is applied. advice: manoeuvres that would
+    show it better. errors: by duration, m, without it and with it in each outage. bets: by duration and by the smallest
+    distance of the predictions (`betting.CLEAR`), with the wealth staked so far: of the initial wealth 1, the part 1 /
+    (k (k + 1)) is staked from the k-th chunk on. So losses on a straight road, where the states of the filters decide
+    by chance, need not be made up for in the next turn. No wealth is created by this, so the probability of a proof by
+    chance is the same. taken: number of chunks.
     """
 
     finding: Finding
@@ -64,17 +65,17 @@ class Trial:
 
     @property
     def wealth(self) -> float:
-        """For the finding: of all bets, in equal parts, and what has not come into them yet."""
+        """Wealth staked on the finding: that of all bets with equal weights, and the part that is not staked yet."""
         return 1.0 / (self.taken + 1) + float(np.mean([np.exp(bets.pro) for bets in self.bets.values()]))
 
     @property
     def harm(self) -> float:
-        """Against it."""
+        """Wealth staked against it."""
         return float(np.mean([np.exp(bets.con) for bets in self.bets.values()]))
 
     @property
     def doubted(self) -> bool:
-        """Whether outages of any duration speak against it."""
+        """Whether outages of any duration are evidence against it."""
         return any(np.mean([np.exp(self.bets[d, clear].con) for clear in STAKED]) >= DOUBTED for d in OUTAGES)
 
     @property
@@ -90,8 +91,8 @@ class Trial:
         return SUSPECT if self.applied or self.rejected or not self.seen else COARSE
 
     def take(self, errors: dict[float, list[tuple[Place, Place]]], now: int = 0) -> None:
-        """What the outages of one more chunk say, by duration: how far the fixes were from either filter, m. now: ns,
-        its end."""
+        """Bet on the outages of one more chunk, by duration: distances of the fixes from both filters, m. now: ns, its
+        end."""
         before = self.proven
         self.taken += 1
         for bets in self.bets.values():
@@ -108,22 +109,21 @@ class Trial:
             self.kept = replace(self.kept, found=now)
 
     def see(self, errors: dict[float, list[tuple[Place, Place]]]) -> None:
-        """Outages on which nothing is staked, before the first ones that count: how long errors last."""
+        """Outages without a stake, before the first bets, for the correlation time of errors."""
         for (duration, _), bets in self.bets.items():
             for without, with_it in errors[duration]:
                 bets.see(without, with_it)
 
     def apply(self, now: int) -> None:
-        """Be part of the parameters that drive. What was seen before says nothing against that any more. now: ns."""
+        """Become part of the parameters that are used. Earlier evidence against the finding is discarded. now: ns."""
         self.applied = True
         self.kept = Kept(self.finding.name, self.finding.parameters, self.sets, now)
         for bets in self.bets.values():
             bets.con = 0.0
 
     def begin_anew(self) -> None:
-        """The parameters that drive have changed: what was seen before compared others, and what is not one of those
-        that drive has to be proven beside them. What was won is given away and what was lost has to be won again, so
-        that a wealth that does not grow in the mean does not by this either."""
+        """Begin anew after a change of the parameters that are used, to which the earlier bets do not refer. Gains are
+        given away and losses are kept, so that the mean of the wealth does not grow by this."""
         self.needed /= min(self.wealth, 1.0)
         for bets in self.bets.values():
             bets.begin_anew()
@@ -132,33 +132,33 @@ class Trial:
         self.proven = self.proven and self.applied
 
     def add_share(self, share: float) -> None:
-        """Have `share` in addition."""
+        """Add `share` to the wealth."""
         self.needed *= self.share / (self.share + share)
         self.share += share
 
     def differs(self, finding: Finding) -> bool:
-        """Whether `finding`, of the same effect, has other values. Where this one is applied, it is what is left beside
-        that, of which there should be nothing."""
+        """Whether `finding`, of the same effect, has other values. If this one is applied, `finding` is the rest, which
+        should be zero."""
         if self.applied:
             return any(e.differs(replace(e, value=0.0, sigma=0.0)) for e in finding.parameters.values() if e.known)
         own = self.finding.parameters
         return any(e.differs(own[name]) for name, e in finding.parameters.items() if name in own)
 
     def is_refined_by(self, finding: Finding) -> bool:
-        """Whether `finding`, whose values agree, is of samples behind the begin of those that showed this one, knows
-        all that this one knows as well, and something better."""
+        """Whether `finding`, whose values agree, is from later samples than those that showed this one, has all its
+        parameters, and knows one of them better."""
         old, new = ({name: e.sigma for name, e in one.parameters.items() if e.known} for one in (self.finding, finding))
         better = new.keys() > old.keys() or any(new[name] < WORTH * old[name] for name in new.keys() & old.keys())
         return (better and finding.since >= self.finding.since
                 and all(name in new and new[name] <= sigma for name, sigma in old.items()))
 
     def refine(self, finding: Finding) -> None:
-        """Go on with its values. What has been bet stays: each bet is on what was known before its outage, and a wealth
-        that does not grow in the mean does so with whichever value each was."""
+        """Continue with the values of `finding`. The bets remain valid: each was made with values that were known
+        before its outage."""
         self.finding, self.sets = replace(finding, since=self.finding.since), finding.changes
 
     def quantity(self, now: int, name: str) -> Quantity:
-        """It in words, as `name`. now: ns, stamp of the newest sample."""
+        """The state in words, as `name`. now: ns, stamp of the newest sample."""
         better = {d: (*np.mean(pairs, axis=0).tolist(), len(pairs)) for d, pairs in self.errors.items() if pairs}
         lines = tuple(f'{parameter}: {yaml_value(_told(value))}' for parameter, value in self.sets.items())
         said = ', '.join(f'{parameter} {e.text()}' for parameter, e in self.finding.parameters.items())
@@ -178,13 +178,13 @@ class Trial:
 
 
 def _without_wealth(bets: Bets) -> Bets:
-    """The bets with no wealth for the finding in them yet."""
+    """The bets without wealth for the finding."""
     bets.pro = -math.inf
     return bets
 
 
 def _told(value):
-    """A parameter with as many digits as are worth copying: no sigma here is so small a part of its value."""
+    """A parameter with as many digits as are useful in a file: no sigma is a smaller part of its value."""
     if isinstance(value, list):
         return [_told(one) for one in value]
     return float(f'{value:.{DIGITS}g}') if isinstance(value, float) else value

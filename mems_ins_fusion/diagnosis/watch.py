@@ -1,4 +1,4 @@
-"""A recording told to the diagnosis while driving chunk by chunk, as a live node tells it."""
+"""A recording given to the diagnosis while driving chunk by chunk, as by a live node."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -12,10 +12,10 @@ from .quantity import Findings, Kept, Quantity
 
 
 class Watch:
-    """A recording as a live node is told of it, chunk by chunk. said: each finding when it was news.
+    """A recording given to `Online` chunk by chunk. said: each finding at the time at which it changed.
 
-    progress: called from time to time with the part that is done; what it raises ends all. find, look, kept: as of
-    `Online`.
+    progress: called from time to time with the part that is done; an exception ends everything. find, look, kept: as
+    for `Online`.
     """
 
     def __init__(self, recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None,
@@ -28,16 +28,17 @@ class Watch:
 
     @property
     def wanted(self) -> Findings:
-        """What the filters should have."""
+        """The findings for the filters."""
         return self._work.wanted
 
     @property
     def trials(self) -> int:
-        """How many findings have been on trial."""
+        """Number of findings that have been on trial."""
         return self._work.begun
 
     def take(self, dropped: Sequence[Dropped] = ()) -> Findings | None:
-        """What they should have after the next chunk, in which it has `dropped` findings; None behind the last one."""
+        """The findings for the filters after the next chunk, in which it has `dropped` findings; None after the last
+        one."""
         self._progress(self._done)
         chunk = next(self._chunks, None)
         if chunk is None:
@@ -53,7 +54,7 @@ class Watch:
 
 def watched(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None
             ) -> list[Quantity]:
-    """What is said of `recording` as a live node says it that changes nothing."""
+    """The messages of a live node for `recording` that does not apply findings."""
     watch = Watch(recording, values, progress)
     while watch.take() is not None:
         pass

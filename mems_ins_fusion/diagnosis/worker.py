@@ -1,11 +1,12 @@
-"""`online.Online` in a process of its own, at a bounded share of a core: `python -m mems_ins_fusion.diagnosis.worker`.
+"""`online.Online` in a process of its own, with a limited share of a core: `python -m
+mems_ins_fusion.diagnosis.worker`.
 
-Arguments: share of a core, pid of who wants to know. Pickles on standard input: parameters and what is kept of earlier
-drives, then chunks, each with what the filter has dropped in it, or the name of what a user asks for (accept, reject,
-reset); on standard output: what is known after each (with something kept, also before the first one), the findings that
-the filters should have, and whether it was a chunk. A second process works, at a low priority and with one thread;
-the first one stops it for the rest of each PERIOD in which it has used that share of CPU time, and ends it when its own
-parent has gone, however that went. Nothing heavy is imported before there are two.
+Arguments: share of a core, pid of the process that uses it. Standard input, pickles: parameters and findings of earlier
+drives, then chunks, each with the findings that the filter has dropped in it, or a request of the user (accept, reject,
+reset). Standard output: the findings after each of these (with earlier findings, also before the first), those for the
+filters, and whether it was a chunk. The work is done by a second process with low priority and one thread. The first
+process stops it for the rest of each PERIOD in which it has used its share of CPU time, and ends it when its own parent
+has ended. Large modules are imported only in the second process.
 """
 from __future__ import annotations
 
@@ -17,22 +18,24 @@ import sys
 import threading
 import time
 
-#: s: long against a switch between processes, short against what a vehicle's computer is late by anyway
+#: s, interval for which the share is kept: long compared with a switch between processes, short compared with usual
+#: delays on the computer of a vehicle
 PERIOD = 0.5
 #: niceness of the process that works: a tenth of the weight of the node. With 19, a hundredth, it had 1 % of a core at
 #: a load of 11 to 23 where 10 had 2 %, and the node the same latency (10.8 and 10.0 ms, median)
 NICE = 10
-#: s between two looks at the CPU time used: PERIOD holds ten
+#: s between two readings of the CPU time
 STEP = 0.05
 
 
 def supervise(worker: int, share: float, parent: int) -> int:
-    """Let the process `worker` have `share` of a core until it ends, or the process `parent` has; its exit status."""
+    """Let the process `worker` have `share` of a core until it ends, or the process `parent` has ended; its exit
+    status."""
     def end(*_):
         os.kill(worker, signal.SIGKILL)
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    left, used = 0.0, _seconds_of(worker)  # s of CPU time: what it may use in this period, and what it has used so far
+    left, used = 0.0, _seconds_of(worker)  # s of CPU time: left in this period, and used so far
     while True:
         ended, status = os.waitpid(worker, os.WNOHANG)
         if ended:
@@ -54,7 +57,7 @@ def supervise(worker: int, share: float, parent: int) -> int:
 
 
 def _seconds_of(process: int) -> float:
-    """CPU time of a process so far, s; 0 of one that is not there."""
+    """CPU time of a process so far, s; 0 if it does not exist."""
     try:
         with open(f'/proc/{process}/stat') as file:
             return sum(map(int, file.read().rpartition(')')[2].split()[11:13])) / os.sysconf('SC_CLK_TCK')
@@ -63,20 +66,20 @@ def _seconds_of(process: int) -> float:
 
 
 def work(source, sink) -> None:
-    """Chunks and words from `source` and what is known to `sink`, files, until the first ends. An analysis goes on
-    between them: no chunk waits for it whose answer does not need its result."""
+    """Process chunks and requests from `source` and write findings to `sink`, files, until `source` ends. An analysis
+    continues between chunks; only a chunk whose answer needs its result waits for it."""
     os.nice(NICE)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     from .online import Abandoned, Online, found
 
-    asked: queue.Queue = queue.Queue(maxsize=1)  # what is beyond waits with who writes it
+    asked: queue.Queue = queue.Queue(maxsize=1)  # further input stays in the pipe
 
     def tell(is_chunk: bool) -> None:
         pickle.dump((online.quantities(), online.wanted, is_chunk), sink)
         sink.flush()
 
     def answer() -> bool:
-        """The next answer; whether there is something to answer any more."""
+        """Give the next answer; returns whether there may be more input."""
         one = asked.get()
         if one is None:
             return False
@@ -90,10 +93,11 @@ def work(source, sink) -> None:
         return True
 
     def between(*_) -> None:
-        """What waits, between two steps of an analysis. At the end nobody wants its result."""
+        """Process the input that has arrived between two steps of an analysis. At the end of the input its result is
+        not needed."""
         while not (asked.empty() or online.is_awaited or online.is_abandoned):
             if not answer():
-                asked.put(None)  # for the loop that ends `work`
+                asked.put(None)  # ends the loop of `work`
                 raise Abandoned
         if online.is_abandoned:
             raise Abandoned
@@ -108,7 +112,7 @@ def work(source, sink) -> None:
 
 
 def _read(source, asked: queue.Queue) -> None:
-    """All that `source` has into `asked`, then None."""
+    """Put all of `source` into `asked`, then None."""
     try:
         while True:
             asked.put(pickle.load(source))
@@ -124,7 +128,7 @@ def main(arguments: list[str]) -> int:
         sys.stdin.close()
         return supervise(worker, share, parent)
     sink = os.fdopen(os.dup(1), 'wb')
-    os.dup2(2, 1)  # what is printed is no pickle
+    os.dup2(2, 1)  # output of print must not mix with the pickles
     try:
         work(sys.stdin.buffer, sink)
     except BrokenPipeError:
