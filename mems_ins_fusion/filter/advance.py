@@ -26,8 +26,10 @@ from .memory import (
     Sample,
     Verdict,
     channel_of,
+    copy,
     element_at,
     event_at,
+    has_constraints,
     kept_state,
     nonnegative,
     oldest_state,
@@ -81,13 +83,12 @@ def advance(memory, k):
     if end > memory[src + Nav.TIME]:
         predict(memory, src, dst, sample, end - memory[src + Nav.TIME])
     else:
-        for i in range(width):
-            memory[dst + i] = memory[src + i]
+        copy(memory, dst, memory, src, width)
     memory[dst + Nav.TIME] = end
     if memory[first_row + Nav.BRIDGED] > SHORTEST_RESTART and memory[dst + Nav.BRIDGED] == 0.0:
         allow_for_restart(memory, dst)  # this is the first valid sample after a long gap
     due = CONSTRAINT_INTERVAL - 0.5 * memory[sample + Sample.INTERVAL]  # due at the nearest sample
-    if memory[Head.CONSTRAINTS] != 0.0 and memory[dst + Nav.CONSTRAINT_TIME] > due:
+    if has_constraints(memory) and memory[dst + Nav.CONSTRAINT_TIME] > due:
         constrain(memory, dst, sample)
     if not _is_finite(memory, dst):
         _restore(memory, first_row, dst, end)
@@ -114,8 +115,7 @@ def _restore(memory, good, r, time):
 
     time: of the new state, s since the filter's epoch.
     """
-    for i in range(int(memory[Head.WIDTH])):
-        memory[r + i] = memory[good + i]
+    copy(memory, r, memory, good, int(memory[Head.WIDTH]))
     memory[r + Nav.TIME] = time
     n_navigation = int(memory[Head.N_NAVIGATION])
     for error in range(Error.V_N, Error.SIZE):
@@ -140,7 +140,7 @@ def take_sample(memory, samples, i):
     before_fault = memory[nonnegative(sample_at(memory, k - 1)) + Sample.FAULT]
     wrong = imu_faults.is_wrong(memory, before, time)
     fault = imu_faults.check(memory, samples, i, dt, speed, wrong, before_fault)
-    memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
+    memory[sample + Sample.FAULT] = fault
     memory[sample + Sample.RATE_SCATTER] = memory[Imu.RATE_SCATTER]
     if fault == Fault.NONE:
         _condition(memory, sample)
@@ -192,7 +192,6 @@ def _condition(memory, sample):
 def coast(memory, sample, r):
     """Write to `sample` what the IMU would measure if the vehicle kept the velocity of the state at r and did not turn.
     """
-    memory[sample + Sample.COASTED] = 1.0
     c = body_to_level(memory, r)
     g = gravity(memory[r + Nav.LATITUDE], memory[r + Nav.HEIGHT])
     for axis in range(6):
@@ -239,12 +238,11 @@ def take_event(memory, events, i):
     if count == int(memory[Head.EVENT_CAPACITY]):  # full: drop the older half
         half = count // 2
         memory[Head.FORGOTTEN] = memory[event_at(memory, half - 1) + Event.TIME]
-        for j in range(half, count):
-            _copy(memory, event_at(memory, j - half), event_at(memory, j))
+        copy(memory, event_at(memory, 0), memory, event_at(memory, half), (count - half) * Event.SIZE)
         count -= half
     place = count
     while place > 0 and memory[event_at(memory, place - 1) + Event.TIME] > time:
-        _copy(memory, event_at(memory, place), event_at(memory, place - 1))
+        copy(memory, event_at(memory, place), memory, event_at(memory, place - 1), Event.SIZE)
         place -= 1
     at = event_at(memory, place)
     for c in range(Event.SIZE):
@@ -273,9 +271,3 @@ def _withdraw(memory, newest):
         if memory[at + Event.KIND] == Kind.POSITION and memory[at + Event.TIME] >= since and verdict != 0.0:
             memory[at + Event.WITHDRAWN] = 1.0
     repeat(memory, kept_state(memory, k), newest)
-
-
-@njit(_nrt=False)
-def _copy(memory, to, source):
-    for i in range(Event.SIZE):
-        memory[to + i] = memory[source + i]

@@ -1,8 +1,6 @@
 """Apply a measurement to the state at its time: the order of the checks, for fixes and for all other inputs."""
 from __future__ import annotations
 
-import math
-
 from mems_ins_fusion.compiled import njit
 
 from .measurements import (
@@ -14,7 +12,7 @@ from .measurements import (
     twist,
     velocity,
 )
-from .measurements.geometry import body_to_level
+from .measurements.geometry import body_to_level, yaw_of
 from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, row_of, velocity_state
 from .prediction import set_radii
 from .trust import (
@@ -191,7 +189,7 @@ def _note_state(mem, r, at):
     """Write the predicted yaw and velocity to the measurement at `at`; returns the rotation from b to n (9 elements).
     """
     c = body_to_level(mem, r)
-    mem[at + Event.YAW] = math.atan2(c[3], c[0])
+    mem[at + Event.YAW] = yaw_of(c)
     mem[at + Event.V_N], mem[at + Event.V_E] = mem[r + Nav.V_N], mem[r + Nav.V_E]
     return c
 

@@ -355,7 +355,7 @@ class FilterConfig:
             LagSettings.GAIN: gnss.lag_gain, LagSettings.TIME: gnss.lag_time,
             Head.LEVER_X: gnss.lever_arm[0], Head.LEVER_Y: gnss.lever_arm[1], Head.LEVER_Z: gnss.lever_arm[2],
             Head.AXLE_X: axle[0], Head.AXLE_Y: axle[1], Head.AXLE_Z: axle[2],
-            Head.CONSTRAINTS: vehicle.zero_velocity_sigma > 0 or vehicle.lateral_sigma > 0,
+
             Head.ZERO_VELOCITY_SIGMA: vehicle.zero_velocity_sigma, Head.LATERAL_SIGMA: vehicle.lateral_sigma,
             Head.VERTICAL_SIGMA: (values['vehicle.non_holonomic']
                                   * values['vehicle.non_holonomic_vertical_sigma']),

@@ -47,8 +47,8 @@ STILL_RATE = 0.15
 CONSTRAINT_MEMORY = 10.0
 #: mean NIS above which the constraint is switched off; a vehicle that satisfies the constraint has 1
 CONSTRAINT_OFF = 6.0
-#: mean NIS below which it is switched on again: half of CONSTRAINT_OFF, as hysteresis
-CONSTRAINT_ON = 3.0
+#: mean NIS below which it is switched on again, as hysteresis
+CONSTRAINT_ON = 0.5 * CONSTRAINT_OFF
 #: one NIS counts as no more than this (5 sigma) in that mean, so that a single slide does not switch the constraint off
 LARGEST_NIS = 25.0
 

@@ -16,7 +16,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from .memory import Head
+from .memory import Head, copy
 
 
 def history_size(n: int) -> int:
@@ -80,8 +80,6 @@ def lose(mem, n):
 def take(mem, r, n, out):
     """Copy row r and the history since the previous call into `out`, and begin an empty history."""
     width, at = int(mem[Head.WIDTH]), int(mem[Head.HISTORY_AT])
-    for i in range(width):
-        out[i] = mem[r + i]
-    for i in range(2 * n * n + n):
-        out[width + i] = mem[at + i]
+    copy(out, 0, mem, r, width)
+    copy(out, width, mem, at, 2 * n * n + n)
     begin(mem, n)

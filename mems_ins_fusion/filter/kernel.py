@@ -19,7 +19,7 @@ from mems_ins_fusion.compiled import njit
 
 from .advance import take_event, take_sample
 from .bank import Bank, compare
-from .memory import Event, Head, Kind, Nav, event_at, state_at
+from .memory import Event, Head, Kind, Nav, copy, event_at, state_at
 
 
 @njit(_nrt=False)
@@ -82,6 +82,4 @@ def collect(memory, log):
     """Copy the measurements in the memory, with their results, to the rows of `log` by Event.ID."""
     for i in range(int(memory[Head.EVENTS])):
         at = event_at(memory, i)
-        row = int(memory[at + Event.ID])
-        for c in range(Event.SIZE):
-            log[row, c] = memory[at + c]
+        copy(log[int(memory[at + Event.ID])], 0, memory, at, Event.SIZE)

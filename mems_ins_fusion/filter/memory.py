@@ -226,6 +226,20 @@ def sensor_variance_at(mem, r, state):
     return nonnegative(r + NAV + (first + 1) * (first + m) + (m + 1) * (state - first))
 
 
+@njit(inline='always')
+def copy(target, to, source, at, count):
+    """Copy `count` elements of the array `source` from position `at` on to `target` from position `to` on, in ascending
+    order; both may be the same array."""
+    for i in range(count):
+        target[to + i] = source[at + i]
+
+
+@njit(_nrt=False)
+def has_constraints(mem):
+    """Whether the standstill or the non-holonomic constraint is used."""
+    return mem[Head.ZERO_VELOCITY_SIGMA] > 0.0 or mem[Head.LATERAL_SIGMA] > 0.0
+
+
 @njit(_nrt=False)
 def row_of(mem, error):
     """Index of one of the nine navigation errors (`Error`) among the states; -1: not a state of this mechanization."""
@@ -333,7 +347,6 @@ class _Head(NamedTuple):
     GATE: int = column()  # normalized innovation above which a fix is refused; 0: none
     RECOVERY_TIME: int = column()  # s
     ADAPT: int = column()  # whether the realised sigma of the fixes is used
-    CONSTRAINTS: int = column()  # whether zero velocity or the non-holonomic constraint is used
     ZERO_VELOCITY_SIGMA: int = column()  # 0: not used
     LATERAL_SIGMA: int = column()  # 0: not used
     VERTICAL_SIGMA: int = column()
@@ -372,11 +385,10 @@ class _Sample(NamedTuple):
     W_Y: int = column()
     W_Z: int = column()
     STILL: int = column()  # 1 at rest
-    FAULT: int = column()  # why the sample is not used, `trust.imu_faults.Fault`; 0: it is used
+    FAULT: int = column()  # why it is replaced by straight motion, `trust.imu_faults.Fault`; 0: it is used
     CONSTRAINT: int = column()  # kind of the constraint applied; 0: none
     Z: int = column(3)  # innovation of the constraint
     S: int = column(3)  # and its variances
-    COASTED: int = column()  # 1: replaced by a sample of straight motion at constant speed
     INTERVAL: int = column()  # s since the previous sample
     RATE_SCATTER: int = column()  # (rad/s)^2, running variance of the angular rates up to it
     MECHANISMS: int = column(10)  # room for the columns that other files declare (`SAMPLE`)

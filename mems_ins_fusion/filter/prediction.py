@@ -140,7 +140,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     yaw = mem[src + Nav.YAW]
     f_n, f_e, c, s = planar.rotate(yaw, dt, f_x, f_y, w_z)
     north, east, v_n, v_e, yaw = planar.mechanize(mem[src + Nav.V_N], mem[src + Nav.V_E], yaw, f_x, f_y, w_z, dt)
-    if mem[sample + Sample.COASTED] != 0.0:  # straight motion depends on neither heading nor sensor errors
+    if mem[sample + Sample.FAULT] != 0.0:  # straight motion depends on neither heading nor sensor errors
         f_n = f_e = c = s = 0.0
     _move(mem, src, dst, north, east, 0.0)
     mem[dst + Nav.V_N] = v_n
@@ -507,7 +507,7 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     attitude, c, f_level, moved, velocity = strapdown.mechanize(
         (mem[src + Nav.Q_W], mem[src + Nav.Q_X], mem[src + Nav.Q_Y], mem[src + Nav.Q_Z]), mem[src + Nav.V_N],
         mem[src + Nav.V_E], mem[src + Nav.V_D], f, w, dt, gravity(latitude, height), rates)
-    if mem[sample + Sample.COASTED] != 0.0:  # straight motion depends on neither attitude nor sensor errors
+    if mem[sample + Sample.FAULT] != 0.0:  # straight motion depends on neither attitude nor sensor errors
         c, f_level = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     transition = strapdown.transition(dt, c, f_level)
     if mem[Head.HISTORY_AT] > 0.0:

@@ -40,6 +40,12 @@ def set_heading(mem, r, yaw):
 
 
 @njit(_nrt=False)
+def yaw_of(c):
+    """Yaw of the body, rad; c: rotation from b to n."""
+    return math.atan2(c[3], c[0])
+
+
+@njit(_nrt=False)
 def rotate(c, x, y, z):
     """The body-axis vector (x, y, z) in n; c: rotation from b to n."""
     return (c[0] * x + c[1] * y + c[2] * z, c[3] * x + c[4] * y + c[5] * z, c[6] * x + c[7] * y + c[8] * z)

@@ -14,7 +14,7 @@ from ...samples import Headings
 from ..memory import NAV, Error, Event, Head, Kind
 from .base import IMU, NOT_THERE, POSE, Measurement
 from .events import empty, refuse, stated_or
-from .geometry import add, angular_rate
+from .geometry import add, angular_rate, yaw_of
 from .low_pass import unfollowed
 from .time_offset import add_time_offset
 
@@ -25,7 +25,7 @@ def observe(mem, r, at, h, c, sample):
     yaw, offset = int(mem[Head.MOUNTING_YAW]), int(mem[at + Event.STATE])
     # yaw of the vehicle's axes in b, and error of the measured heading; `update` subtracts H times these estimates
     estimated = (mem[r + NAV + yaw] if yaw >= 0 else 0.0) + (mem[r + NAV + offset] if offset >= 0 else 0.0)
-    now = math.atan2(c[3], c[0])
+    now = yaw_of(c)
     difference = now + estimated - unfollowed(mem, r, at, now) - mem[at + Event.VALUE]
     mem[at + Event.Z_N] = math.atan2(math.sin(difference), math.cos(difference)) - estimated
     add_time_offset(mem, at, h, angular_rate(mem, r, sample)[2])

@@ -25,7 +25,7 @@ from ...samples import MagneticFields
 from ..memory import NAV, Error, Event, Kind
 from .base import Measurement, SensorSettings
 from .events import empty, refuse, stated_or
-from .geometry import add, angular_rate
+from .geometry import add, angular_rate, yaw_of
 from .time_offset import add_time_offset
 
 #: names of the states, after that of the input: hard iron forward and to the right; strength of the horizontal field
@@ -58,7 +58,7 @@ def observe(mem, r, at, h, n, c, sample):
     x = r + NAV + first
     strength, stretch, skew = 1.0 + mem[x + 2], mem[x + 3], mem[x + 4]
     f_x, f_y, f_z, x_x, y_x, x_y, y_y = _levelled(mem, r, at, c)
-    yaw, turn = math.atan2(c[3], c[0]), angular_rate(mem, r, sample)[2]
+    yaw, turn = yaw_of(c), angular_rate(mem, r, sample)[2]
     yaw -= mem[at + Event.DECLINATION] + mem[x + 5]
     u_x, u_y = math.cos(yaw), -math.sin(yaw)
     turned_x, turned_y = u_y, -u_x  # derivative of u by the yaw

@@ -10,13 +10,13 @@ from __future__ import annotations
 from mems_ins_fusion.compiled import njit
 
 from ..advance import advance
-from ..memory import Event, Head, Nav, Sample, event_at, nonnegative, sample_at, state_at
+from ..memory import Event, Head, Nav, Sample, copy, event_at, nonnegative, sample_at, state_at
 from .newest import STEP
 
 
 @njit(_nrt=False)
-def follow(copy, memory, after, withheld):
-    """Continue `copy`, whose state 0 is that after sample `after` of `memory`, to the newest sample of `memory`.
+def follow(small, memory, after, withheld):
+    """Continue `small`, whose state 0 is that after sample `after` of `memory`, to the newest sample of `memory`.
 
     withheld: (k,) whether measurements with this `Event.INPUT` are withheld from the copy. A measurement that arrived
     too late for its step is left out. Returns False if `memory` no longer has all samples.
@@ -24,26 +24,25 @@ def follow(copy, memory, after, withheld):
     k, newest = after + 1, int(memory[Head.SAMPLES])
     if newest - after > int(memory[Head.CAPACITY]):
         return False
-    first, last = nonnegative(state_at(copy, 0)), nonnegative(state_at(copy, 1))
-    event, begin = int(memory[Head.EVENTS]), copy[first + Nav.TIME]
+    first, last = nonnegative(state_at(small, 0)), nonnegative(state_at(small, 1))
+    event, begin = int(memory[Head.EVENTS]), small[first + Nav.TIME]
     while event > 0 and memory[event_at(memory, event - 1) + Event.TIME] > begin:
         event -= 1
     while k <= newest:
-        k = _merge(copy, memory, k, newest)
-        event = _take_inputs(copy, memory, event, withheld)
-        advance(copy, 1)
-        for i in range(int(copy[Head.WIDTH])):
-            copy[first + i] = copy[last + i]
+        k = _merge(small, memory, k, newest)
+        event = _take_inputs(small, memory, event, withheld)
+        advance(small, 1)
+        copy(small, first, small, last, int(small[Head.WIDTH]))
     return True
 
 
 @njit(_nrt=False)
-def _merge(copy, memory, k, newest):
-    """Write the samples from k on of one step of `memory` to sample 1 of `copy`; returns the number of the next one.
+def _merge(small, memory, k, newest):
+    """Write the samples from k on of one step of `memory` to sample 1 of `small`; returns the number of the next one.
 
     A gap (`imu.max_gap`) is a step of its own.
     """
-    at, to = nonnegative(sample_at(memory, k)), nonnegative(sample_at(copy, 1))
+    at, to = nonnegative(sample_at(memory, k)), nonnegative(sample_at(small, 1))
     # rad, rotation from the expected middle of the step: b to its begin, a to the end of the samples merged so far
     half = -0.5 * max(STEP, memory[at + Sample.INTERVAL])
     b_x, b_y, b_z = half * memory[at + Sample.W_X], half * memory[at + Sample.W_Y], half * memory[at + Sample.W_Z]
@@ -66,14 +65,13 @@ def _merge(copy, memory, k, newest):
         a_x, a_y, a_z = a_x + d_x, a_y + d_y, a_z + d_z
         if dt > memory[Head.MAX_GAP]:
             break
-    for i in range(Sample.SIZE):
-        copy[to + i] = memory[at + i]
+    copy(small, to, memory, at, Sample.SIZE)
     if step > 0.0:
         c_x, c_y, c_z = _cross(0.5 * (a_x + b_x), 0.5 * (a_y + b_y), 0.5 * (a_z + b_z), v_x, v_y, v_z)
-        copy[to + Sample.F_X], copy[to + Sample.F_Y] = (v_x - c_x) / step, (v_y - c_y) / step
-        copy[to + Sample.F_Z], copy[to + Sample.W_X] = (v_z - c_z) / step, (a_x - b_x + cone_x) / step
-        copy[to + Sample.W_Y], copy[to + Sample.W_Z] = (a_y - b_y + cone_y) / step, (a_z - b_z + cone_z) / step
-        copy[to + Sample.INTERVAL] = step
+        small[to + Sample.F_X], small[to + Sample.F_Y] = (v_x - c_x) / step, (v_y - c_y) / step
+        small[to + Sample.F_Z], small[to + Sample.W_X] = (v_z - c_z) / step, (a_x - b_x + cone_x) / step
+        small[to + Sample.W_Y], small[to + Sample.W_Z] = (a_y - b_y + cone_y) / step, (a_z - b_z + cone_z) / step
+        small[to + Sample.INTERVAL] = step
     return k
 
 
@@ -83,16 +81,15 @@ def _cross(a_x, a_y, a_z, b_x, b_y, b_z):
 
 
 @njit(_nrt=False)
-def _take_inputs(copy, memory, event, withheld):
+def _take_inputs(small, memory, event, withheld):
     """Copy the measurements of `memory`, from number `event` on, that belong to the step and are not withheld to
-    `copy`. Returns the number of the next one."""
-    count, end = 0, copy[nonnegative(sample_at(copy, 1)) + Sample.TIME]
+    `small`. Returns the number of the next one."""
+    count, end = 0, small[nonnegative(sample_at(small, 1)) + Sample.TIME]
     while event < int(memory[Head.EVENTS]) and memory[event_at(memory, event) + Event.TIME] <= end:
-        at, to = event_at(memory, event), event_at(copy, count)
+        at, to = event_at(memory, event), event_at(small, count)
         if withheld[int(memory[at + Event.INPUT])] == 0.0:
-            for c in range(Event.SIZE):
-                copy[to + c] = memory[at + c]
+            copy(small, to, memory, at, Event.SIZE)
             count += 1
         event += 1
-    copy[Head.EVENTS] = count
+    small[Head.EVENTS] = count
     return event

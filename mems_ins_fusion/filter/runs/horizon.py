@@ -31,6 +31,7 @@ from ..memory import (
     Nav,
     Sample,
     element_at,
+    has_constraints,
     nonnegative,
     sample_at,
     state_at,
@@ -127,13 +128,12 @@ def _predict(mem, limit, wanted, interval, exceeded, north, east, left, realised
         if exceedance_probability(mem, src, limit, part * north, part * east, realised) > exceeded:
             return k * STEP, metres
         speed_now = math.hypot(mem[src + Nav.V_N], mem[src + Nav.V_E])
-        coast(mem, sample, src)
-        mem[sample + Sample.COASTED] = 0.0  # so that errors of sensors and attitude are propagated
+        coast(mem, sample, src)  # not marked as a fault, so that errors of sensors and attitude are propagated
         if speed_now < wanted:
             _accelerate(mem, src, sample)
         predict(mem, src, dst, sample, STEP)
         mem[dst + Nav.TIME], mem[dst + Nav.CONSTRAINT_TIME] = mem[src + Nav.TIME] + STEP, STEP
-        if mem[Head.CONSTRAINTS] != 0.0:
+        if has_constraints(mem):
             constrain(mem, dst, sample)
         if interval > 0.0:
             _take_speed(mem, dst, sample, interval)

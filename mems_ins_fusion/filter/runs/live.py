@@ -40,8 +40,8 @@ UNKNOWN_SPEED_SIGMA = 15.0  # m/s, standard deviation of an unknown speed: a car
 CHANGEABLE = ('gnss.gate_probability', 'gnss.robust_sigma', 'gnss.recovery_time', 'gnss.adapt_sigma',
               'gnss.outage_after', 'vehicle.zero_velocity', 'vehicle.zero_velocity_sigma', 'vehicle.non_holonomic',
               'vehicle.non_holonomic_sigma', 'vehicle.non_holonomic_vertical_sigma')
-_CHANGED = (Head.GATE, Head.ROBUST_SIGMA, Head.RECOVERY_TIME, Head.ADAPT, Head.CONSTRAINTS, Head.ZERO_VELOCITY_SIGMA,
-            Head.LATERAL_SIGMA, Head.VERTICAL_SIGMA)
+_CHANGED = (Head.GATE, Head.ROBUST_SIGMA, Head.RECOVERY_TIME, Head.ADAPT, Head.ZERO_VELOCITY_SIGMA, Head.LATERAL_SIGMA,
+            Head.VERTICAL_SIGMA)
 
 
 class Judgement(NamedTuple):

@@ -42,10 +42,11 @@ from .plausibility import direction_in_motion, is_backwards, problem_of_directio
 from .start import DATUM_FIXES, SavedState, Standstill, Start
 from .two_receivers import SLOW_SPEED, SPEED_CHANGE_SIGMA, find_heading
 
-LONGEST_KEPT = 300.0  # s of samples and fixes kept while waiting
-#: s after a start during which it is discarded if the motion shows that the mounting is wrong. Vehicles have turned and
-#: braked by then
-LONGEST_WATCHED = 300.0
+#: s of samples and fixes that are kept
+LONGEST_KEPT = 300.0
+#: s after a start during which it is discarded if the motion shows that the mounting is wrong: as far back as samples
+#: are kept. Vehicles have turned and braked by then
+LONGEST_WATCHED = LONGEST_KEPT
 RECENT = 10.0  # s of samples and fixes from which a present standstill, or the speed of a slow vehicle, is determined
 DISPLACEMENT_SIGMAS = 3.0  # standard deviations of two fixes by which their displacement has to contradict a heading
 STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity at rest

@@ -20,7 +20,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import HEAD, NAV, ROW, Head, Nav, decay_at, variance_at, variance_factor, walk_at
+from ..memory import HEAD, NAV, ROW, Head, Nav, decay_at, has_constraints, variance_at, variance_factor, walk_at
 
 #: whether the drift is learned
 DriftSettings = HEAD.place('DriftSettings', LEARNED=1)
@@ -64,7 +64,7 @@ def learn_drift(mem, r):
     if begin != 0.0 and since < DRIFT_WINDOW:
         return
     mem[r + Drift.TIME] = time
-    lasting = variance_factor(mem, r) if mem[Head.CONSTRAINTS] == 0.0 else 1.0
+    lasting = 1.0 if has_constraints(mem) else variance_factor(mem, r)
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     x = r + NAV + n_navigation
     e = x + m + n_navigation * (n_navigation + m)

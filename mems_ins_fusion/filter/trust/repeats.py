@@ -14,7 +14,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..measurements.geometry import body_to_level, body_velocity
+from ..measurements.geometry import body_to_level, body_velocity, yaw_of
 from ..memory import ROW, Event, Head, Kind, Nav, is_of_heading, is_of_velocity
 from .scale import Seen, seen_of
 from .standstill import moves
@@ -116,5 +116,5 @@ def _predicted(mem, r, kind):
     """Heading, rad, or forward speed, m/s, of the state at r."""
     c = body_to_level(mem, r)
     if is_of_heading(kind):
-        return math.atan2(c[3], c[0])
+        return yaw_of(c)
     return body_velocity(mem, r, c, 0)

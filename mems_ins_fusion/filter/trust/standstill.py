@@ -59,13 +59,11 @@ CERTAIN_SIGMAS = 2.0
 MOVING_SPEED = 1.0
 #: m/s: the level of motion is learned if the speed minus SURE_SIGMAS is above this. Half of MOVING_SPEED, as a creeping
 #: car may be as quiet as others at rest; with 1 m/s, a gap in the samples of such a car leads to a false standstill
-LEARNING_SPEED = 0.5
+LEARNING_SPEED = 0.5 * MOVING_SPEED
 #: standard deviations for that: with fixes that are late, the estimated speed is two sigma for seconds after a stop.
 #: With two, this rest is learned as motion, and stops are missed for ten minutes
 SURE_SIGMAS = 4.0
-#: s of slow motion after which the level of motion of a vehicle that has never been faster than MOVING_SPEED is
-#: learned: twice STILL_WINDOW
-CREEPING_TIME = 3.0
+
 #: m, smallest distance that fixes have to move to contradict a standstill: larger than the change of position when a
 #: receiver finds or loses its base
 SHORTEST_DISTANCE = 1.0
@@ -84,6 +82,8 @@ REMOVED_MEAN_TIME = 0.3
 #: s, window of the mean square. In an exponential mean, the effect of a braking hides a stop of four seconds. Shorter
 #: windows would take a change of gears, which is as quiet for a second, for a standstill
 STILL_WINDOW = 1.5
+#: s of slow motion after which the level of motion of a vehicle that has never been faster than MOVING_SPEED is learned
+CREEPING_TIME = 2.0 * STILL_WINDOW
 #: factor by which a standstill is quieter than the quietest motion, and by which it may exceed the usual level at rest
 SEPARATION = 2.0
 #: s, time constant with which the level of motion rises again: roads and loads change within minutes
