@@ -1,4 +1,4 @@
-"""The settings that drives show: topics, units, mounting, clock and antenna, receiver, noise, constraints."""
+"""Parameters from drives: topics, units, mounting, clock and antenna, receiver, noise, constraints."""
 from __future__ import annotations
 
 import math
@@ -29,12 +29,12 @@ from mems_ins_fusion.recordings.transforms import BASE
 from mems_ins_fusion.recordings.transforms import TOPIC as TF
 from mems_ins_fusion.recordings.units import RATE, Units
 
-_TF_ANGLE = math.radians(15.0)  # rad: a bracket is bent by less than this; transforms are often of whole right angles
-_LEAST_MOUNTING_SIGMA = 0.01  # rad: by as much a body and a bracket flex while driving
+_TF_ANGLE = math.radians(15.0)  # rad, largest error of a bracket; transforms often contain whole right angles
+_LEAST_MOUNTING_SIGMA = 0.01  # rad, bending of body and bracket while driving
 
 
 def settings_of(topics: Topics, drives, mounting):
-    """Yield the settings that `drives` (of `configure.Drive`) and their common mounting show, in the file's order."""
+    """Yield the parameters from `drives` (of `configure.Drive`) and their common mounting, in the order of the file."""
     first = drives[0]
     rotation, arm = topics.mounting_of_tf, topics.arm_of_tf
     yield from _topic_settings(topics)
@@ -101,7 +101,7 @@ def _mechanization(drives, mounting) -> Setting:
 
 
 def _mounting_setting(found: Mounting, told: np.ndarray | None) -> Setting:
-    """told: rotation (3, 3) that the transforms say."""
+    """The mounting. told: rotation (3, 3) by the transforms."""
     if told is not None and not found.yaw_known:
         return Setting('imu.mounting_rpy', rounded(rpy(told), 4), (
             f'from {TF}; gravity agrees to {math.degrees(_angle_of_level(found, told)):.1f} deg, the drive does not '
@@ -128,7 +128,7 @@ def _mounting_setting(found: Mounting, told: np.ndarray | None) -> Setting:
 
 
 def _angle_of_level(found: Mounting, told: np.ndarray) -> float:
-    """rad, between up as the drive shows it and as the rotation `told` has it, whatever the yaw."""
+    """rad, between the up axis by the drive and that by the rotation `told`, independent of the yaw."""
     return float(np.arccos(np.clip(found.rotation[2] @ told[2], -1.0, 1.0)))
 
 
@@ -137,7 +137,7 @@ def _degrees(angle, sigma) -> str:
 
 
 def _time_offset_settings(offset) -> list[Setting]:
-    """The time offset of the fixes and, where it is shown, its sigma: the filter estimates what is left of it."""
+    """The time offset of the fixes and, if it is determined, its sigma: the filter estimates the rest."""
     name = 'gnss.time_offset'
     if offset is None or not offset.shown:
         why = 'not shown' if offset is None else f'{offset.lag:.1f} +- {offset.lag_sigma:.1f} s: as good as not shown'
@@ -151,7 +151,7 @@ def _time_offset_settings(offset) -> list[Setting]:
 
 
 def _arm_settings(offset, told: np.ndarray | None) -> tuple[Setting, Setting]:
-    """The arm and its sigma. told: (3,) m from the IMU to the antenna that the transforms say."""
+    """The lever arm and its sigma. told: (3,) m from the IMU to the antenna by the transforms."""
     name = 'gnss.lever_arm'
     of_tf = Setting(f'{name}_sigma', TF_ARM, ('of what somebody has measured',))
     if offset is None:
@@ -175,7 +175,7 @@ def _arm_settings(offset, told: np.ndarray | None) -> tuple[Setting, Setting]:
 
 
 def against_tf(topics: Topics, mounting: Mounting | None):
-    """Where the transforms of the recording contradict what it shows, in words."""
+    """Contradictions between the transforms of the recording and its data, in words."""
     told, arm = topics.mounting_of_tf, topics.arm_of_tf
     if mounting is not None and told is not None:
         away = _angle_of_level(mounting, told)
@@ -220,7 +220,7 @@ def _noise_settings(drives, mounting):
     if best is not None:
         why = f'{best.seconds:.0f} s at rest, the quietest axis; known to {best.part:.0%}'
         for sensor, density in (('accelerometer', best.force_density), ('gyroscope', best.rate_density)):
-            if min(density) > 0.0:  # a sensor that shows nothing has no noise to be configured
+            if min(density) > 0.0:  # the noise of a sensor with constant output is not configured
                 yield Setting(f'{sensor}.noise_density', _significant(density), (why,))
         sigma = ', '.join(f'{s:.1g}' for s in best.bias_sigma)
         yield Setting('gyroscope.bias', _significant(best.bias), (
@@ -243,7 +243,7 @@ def vehicle_settings(drives):
     alike = max((vehicle.alike for vehicle in vehicles if vehicle.alike is not None), default=0.0)
     told, quiet = alike < LARGEST_ALIKE, f'{alike:.0%} of the seconds in motion are slow and as quiet as rest'
     rest = [vehicle for vehicle in vehicles if vehicle.rest_force is not None]
-    if not rest:  # that there is no standstill is no reason against those to come
+    if not rest:  # a drive without a standstill is no reason against later ones
         if not told:
             yield Setting('vehicle.zero_velocity', False, (f'{quiet} by default: not to be told from standstills',))
         return
@@ -258,7 +258,7 @@ def vehicle_settings(drives):
 
 
 def _threshold(name: str, rest: float, drive: float) -> Setting:
-    """Between `rest` and `drive` by ratio; where they are alike, a little above rest."""
+    """A value between `rest` and `drive`, by ratio; a little above rest if they are similar."""
     between, least = math.sqrt(rest * drive), 1.2 * rest
     why = 'between rest and motion' if between > least else 'a little above rest: quiet motion scatters as little'
     return Setting(name, float(f'{max(between, least):.2g}'), (why,))

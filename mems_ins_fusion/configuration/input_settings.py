@@ -1,4 +1,5 @@
-"""The parameters of the inputs besides the first IMU and receiver, and where the transforms contradict them."""
+"""Parameters of the inputs other than the first IMU and receiver, and contradictions between them and the transforms.
+"""
 from __future__ import annotations
 
 import math
@@ -35,8 +36,7 @@ _LEAST_ARM_SIGMA = 0.01  # m: of the centre of phase of an antenna
 
 
 def inputs_against_tf(topics: Topics, drives: Sequence[Sequence[InputShown | LeftOut]]):
-    """Where the transforms contradict the place that the drives show of an input of the first one, in words, by topic.
-    """
+    """Contradictions between the transforms and the place of an input by the drives, in words, by topic."""
     for one in drives[0]:
         if isinstance(one, LeftOut) or (told := _told_place(topics, one)) is None:
             continue
@@ -47,8 +47,8 @@ def inputs_against_tf(topics: Topics, drives: Sequence[Sequence[InputShown | Lef
 
 
 def _told_place(topics: Topics, one: InputShown) -> np.ndarray | None:
-    """(3,) m where the transforms have it, from the IMU, of a further receiver from the first antenna; None where they
-    do not say it."""
+    """(3,) m by the transforms, from the IMU, or of a further receiver from the first antenna; None if they do not
+    contain it."""
     arms, kind = topics.arms_of_tf, one.measurement
     if not kind.has_arm or one.topic not in arms:
         return None
@@ -58,11 +58,11 @@ def _told_place(topics: Topics, one: InputShown) -> np.ndarray | None:
 
 
 def placed(topics: Topics, one: InputShown | LeftOut) -> InputShown | LeftOut:
-    """Left out where neither the drive nor the transforms say where it is measured, and that matters."""
+    """The input, left out if neither the drive nor the transforms show its place, and the place matters."""
     if isinstance(one, LeftOut) or not one.unplaced:
         return one
     told = _told_place(topics, one)
-    if told is not None and np.hypot(*told[:2]) > LEAST_APART:  # in one place it may be the same receiver twice
+    if told is not None and np.hypot(*told[:2]) > LEAST_APART:  # at the same place it may be the same receiver twice
         return one
     return LeftOut(one.topic, one.unplaced)
 
@@ -73,8 +73,8 @@ def _whence(one: InputShown) -> str:
 
 def input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanization: str, first: Mapping,
                     topics: Topics):
-    """Of the topics of the first drive. first: what is set of the first IMU and receiver. The first topic of each kind
-    has the parameters without a name; others, further receivers and IMUs, are named after their topics."""
+    """Parameters for the topics of the first drive. first: parameters of the first IMU and receiver. The first topic of
+    each kind has the parameters without a name; others, further receivers and IMUs, are named after their topics."""
     used = [one for one in drives[0] if isinstance(one, InputShown)
             and not (one.measurement.needs_height and mechanization != 'strapdown')]
     plain = {}
@@ -99,15 +99,15 @@ def input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanizati
 
 
 def _seen(drives: Sequence[Sequence[InputShown | LeftOut]], one: InputShown) -> list[InputShown]:
-    """What each drive shows of this input."""
+    """Estimates of this input from each drive."""
     return [other for inputs in drives for other in inputs if isinstance(other, InputShown)
             and other.topic == one.topic and other.measurement is one.measurement]
 
 
 def _is_aside(one: InputShown, topics: Topics) -> bool:
-    """Whether it is measured to the left or right of the IMU for certain, as by one wheel, or ahead of the rear axle,
-    as by a lidar, or the transforms have it there; of a velocity, whether they have it elsewhere than at the antenna.
-    """
+    """Whether it is certainly measured to the left or right of the IMU, as by one wheel, or ahead of the rear axle, as
+    by a lidar, or is there by the transforms; of a velocity, whether the transforms have it elsewhere than at the
+    antenna."""
     told = _told_place(topics, one)
     if one.measurement.of_antenna:
         return bool(told is not None and topics.arm_of_tf is not None
@@ -121,7 +121,7 @@ def _is_aside(one: InputShown, topics: Topics) -> bool:
 
 
 def _names(topics: Sequence[str]) -> dict[str, str]:
-    """A name for the input of each topic, none of which parameters or other inputs have."""
+    """A name for the input of each topic that no parameter or other input has."""
     names: dict[str, str] = {}
     taken = {name.split('.')[0] for name in ALL} | set(TYPES)
     for topic in topics:
@@ -133,12 +133,12 @@ def _names(topics: Sequence[str]) -> dict[str, str]:
 
 
 def _seen_place(seen: Sequence[InputShown]) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) m where the drives show it, and sigma (3,), large where they do not."""
+    """(3,) m by the drives, and its sigma (3,), large if they do not show it."""
     return weighted(*(np.array([one.arm[k] for one in seen]) for k in (0, 1)))
 
 
 def _place_settings(name: str, seen: Sequence[InputShown], first: Mapping, told: np.ndarray | None):
-    """Where in the vehicle a named input is measured, where that is shown, or the transforms say it: `told`."""
+    """Place of a named input in the vehicle, by the drives, or by the transforms (`told`)."""
     (arm, sigma), is_fix = _seen_place(seen), seen[0].measurement.name == 'fix'
     known = np.isfinite([one.arm[1] for one in seen]).any(axis=0) & (is_fix or sigma < ARM_SHOWN)
     if told is None and not known.any():
@@ -192,7 +192,7 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
     if lags:
         lag, sigma, sure = _together(lags)
         of_receiver = kind in ('fix', 'velocity')
-        # that of the plain velocity is counted beside gnss.time_offset
+        # the offset of the plain velocity is relative to gnss.time_offset
         begin = first.get('gnss.time_offset', 0.0) if of_receiver and name != 'velocity' else 0.0
         what = 'gnss_topic' if of_receiver else 'the IMU'
         yield Setting(f'{name}.time_offset', round(begin + (lag if sure else 0.0), 3) + 0.0, (
@@ -207,14 +207,13 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
 
 
 def _together(shown: Sequence[tuple[float, float]]) -> tuple[float, float, bool]:
-    """What several recordings show together, of what each shows with its sigma: value, sigma, and whether it is sure.
-    """
+    """Weighted mean of the estimates of several recordings: value, sigma, and whether it is certain."""
     value, sigma = (float(x) for x in weighted(*(np.array(part) for part in zip(*shown))))
     return value, sigma, is_sure(value, sigma, OF_SEVERAL)
 
 
 def _low_pass_settings(name: str, seen: Sequence[InputShown]):
-    """The part of the time offset that a low pass makes, where it is certain."""
+    """The part of the time offset that is caused by a low pass, if it is certain."""
     found = [(one.low_pass.tau, one.low_pass.sigma) for one in seen if one.low_pass is not None]
     if found:
         tau, sigma, _ = _together(found)
@@ -224,7 +223,7 @@ def _low_pass_settings(name: str, seen: Sequence[InputShown]):
 
 
 def _imu_settings(name: str, seen: Sequence[InputShown], first: Mapping):
-    """How a further IMU is mounted, beside imu.mounting_rpy, and its units."""
+    """Mounting of a further IMU, relative to imu.mounting_rpy, and its units."""
     best = min(seen, key=lambda one: one.rotation[1])
     mounted = rotation_from_rpy(*first.get('imu.mounting_rpy', [0.0] * 3)) @ best.rotation[0]
     yield Setting(f'{name}.mounting_rpy', rounded(rpy(mounted), 4), (

@@ -1,6 +1,6 @@
-"""What a recording leaves of the parameters: how far its estimates are from what a params file says, with their sigma.
+"""Differences between the estimates from a recording and a params file, with their standard deviations.
 
-The checker says it of any file, and whether a file that `configure` wrote is ready stands on the same numbers.
+The checker reports them for any file; `configure` uses them to decide whether its file is ready.
 """
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ LOW_PASS, YAW, SHARE = 'low pass', 'yaw', 'share of the dynamic pressure'
 
 @dataclass(frozen=True)
 class Remaining:
-    """What is left of one quantity: `value`, the estimate less what the file says, and its standard deviation, infinite
-    where the recording does not show it. name: TIME_OFFSET or LOW_PASS (s), one of ANGLES or YAW (rad, about forward,
-    left and up), one of ARM (m), or SHARE."""
+    """The difference of one quantity: `value`, the estimate minus the value in the file, and its standard deviation,
+    infinite if the recording does not determine it. name: TIME_OFFSET or LOW_PASS (s), one of ANGLES or YAW (rad, about
+    forward, left and up), one of ARM (m), or SHARE."""
 
     name: str
     value: float
     sigma: float
 
     def settled(self, most: float, sigmas: float = 2.0) -> bool:
-        """Whether no more than `most` can be left."""
+        """Whether the difference is certainly at most `most`."""
         return abs(self.value) + sigmas * self.sigma <= most
 
     def certain(self, least: float, sigmas: float) -> bool:
-        """Whether more than `least` is left, and not by chance."""
+        """Whether it is significantly larger than `least`."""
         return abs(self.value) > max(least, sigmas * self.sigma)
 
 
 @dataclass(frozen=True)
 class ClockLeft(Remaining):
-    """What is left of the time offset of an input. low_pass: that it shows, as if none were declared, None where it
-    shows nothing of one. axes: what is left of how an odometry is turned, None where that does not show."""
+    """The difference of the time offset of an input. low_pass: that of its low pass, as if none were declared; None
+    without evidence of one. axes: that of the rotation of an odometry; None if it is not determined."""
 
     low_pass: LowPass | None = None
     axes: OdometryAxes | None = None
 
 
 def remaining_of(found: Mounting | None, values: Mapping) -> tuple[Remaining, ...]:
-    """What the estimates `found` leave of the parameters `values`: the angles, the time offset, the arm."""
+    """Differences of the estimates `found` from the parameters `values`: angles, time offset, lever arm."""
     if found is None:
         return tuple(Remaining(name, 0.0, math.inf) for name in (*ANGLES, TIME_OFFSET, *ARM))
     turned = deviation(found.rotation, rotation_from_rpy(*values['imu.mounting_rpy']))

@@ -1,4 +1,4 @@
-"""Which topics of a recording are the IMU and the receiver: by type, and by what they carry."""
+"""The topics of the IMU, the receiver and other sensors in a recording: by message type and by content."""
 from __future__ import annotations
 
 import re
@@ -19,12 +19,12 @@ from mems_ins_fusion.recordings.remarks import count_of
 from mems_ins_fusion.recordings.transforms import places
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
-#: names of topics that are results or references, not measurements of a sensor
+#: names of topics with results or references, not measurements
 _DERIVED = re.compile(r'reference|truth|fused|filter|ekf|odom|estimate|gt($|/)', re.IGNORECASE)
-#: measurements besides IMU samples and fixes that messages may hold, by their type
+#: measurements other than IMU samples and fixes, by message type
 _AIDING = {kind: tuple(one for one in TYPES.values() if kind in one.messages)
            for kind in dict.fromkeys(kind for one in TYPES.values() for kind in one.messages) if kind not in FIX_TYPES}
-#: those that are no samples of an IMU, whose orientation is no heading of its own
+#: those without samples of an IMU, whose orientation is not a separate measurement of the heading
 _OTHERS = [kind for kind in _AIDING if kind != IMU]
 #: smallest share of usable messages and axes of an IMU
 _LEAST_USABLE = 0.5
@@ -32,9 +32,9 @@ _LEAST_USABLE = 0.5
 
 @dataclass(frozen=True)
 class Candidate:
-    """A topic that could be the one. rate: Hz. jitter: part of an interval. usable: part of its messages.
-    derived: whether its name says that it is a result or a reference. samples: those read. sigma: m, as a
-    receiver states it, or NaN."""
+    """A topic that may be used. rate: Hz. jitter: scatter of the intervals, relative. usable: share of its messages.
+    derived: whether its name is that of a result or a reference. samples: its samples. sigma: m, as stated by a
+    receiver, or NaN."""
 
     topic: str
     messages: int
@@ -46,7 +46,7 @@ class Candidate:
     sigma: float = np.nan
 
     def describe(self) -> str:
-        """What it carries, in a few words."""
+        """Its content in a few words."""
         words = [f'{self.messages} messages, {self.rate:.3g} Hz']
         if self.usable < 0.995:
             what = 'as an IMU' if isinstance(self.samples, ImuSamples) else 'as fixes'
@@ -62,9 +62,9 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Topics:
-    """Each first in its tuple is the one chosen. others: by topic, the samples that its messages are, by the name of
-    each measurement that they may be of. places: by topic, as the recording's transforms say it, where it is measured,
-    (3,) m, and the rotation (3, 3) from its axes, in base_link (`transforms.places`)."""
+    """The topics of a recording; the first one of each tuple is used. others: by topic, its possible samples by the
+    name of the measurement. places: by topic, from the recording's transforms: the place of the measurement, (3,) m,
+    and the rotation (3, 3) from its axes, in base_link (`transforms.places`)."""
 
     imu: tuple[Candidate, ...]
     gnss: tuple[Candidate, ...]
@@ -74,13 +74,13 @@ class Topics:
 
     @property
     def mounting_of_tf(self) -> np.ndarray | None:
-        """Rotation (3, 3) from sensor axes to base_link that the transforms say; None where they do not."""
+        """Rotation (3, 3) from sensor axes to base_link by the transforms; None without one."""
         return self.places[self.imu[0].topic][1] if self.imu[0].topic in self.places else None
 
     @property
     def arms_of_tf(self) -> dict[str, np.ndarray]:
-        """By topic, (3,) m from the IMU to where it is measured, base_link, that the transforms say; not of those whose
-        frame is at the IMU's place, as where all have one frame."""
+        """By topic, (3,) m from the IMU to the place of the measurement, base_link, by the transforms; without topics
+        whose frame is at the IMU, as if all had one frame."""
         if self.imu[0].topic not in self.places:
             return {}
         imu = self.places[self.imu[0].topic][0]
@@ -88,17 +88,17 @@ class Topics:
 
     @property
     def arm_of_tf(self) -> np.ndarray | None:
-        """(3,) m, that of the antenna; None where the transforms do not say it."""
+        """(3,) m, from the IMU to the antenna by the transforms; None without one."""
         return self.arms_of_tf.get(self.gnss[0].topic) if self.gnss else None
 
     @property
     def imus(self) -> dict[str, ImuSamples]:
-        """The samples of further IMUs, by topic; not of what is a result by its name, or hardly one."""
+        """The samples of further IMUs, by topic; without results (by name) and topics with few usable samples."""
         return {one.topic: one.samples for one in self.imu[1:] if not one.derived and one.usable >= _LEAST_USABLE}
 
     @property
     def receivers(self) -> dict[str, Fixes]:
-        """The fixes of further receivers, by topic; not of what is a result by its name."""
+        """The fixes of further receivers, by topic; without results (by name)."""
         return {one.topic: one.samples for one in self.gnss[1:] if not one.derived}
 
 
@@ -119,7 +119,7 @@ def find_topics(path) -> Topics:
     gnss = tuple(sorted((_gnss(path, name, named[IMU][0]) for kind in FIX_TYPES for name in named[kind]),
                         key=_gnss_rank))
     others = {name: _read(path, name, kind, named[IMU][0]) for kind in _OTHERS for name in named[kind]}
-    # a heading of two antennas comes as an Imu without rates and forces
+    # a heading by two antennas is an Imu message without rates and forces
     others |= {one.topic: _read(path, one.topic, IMU, named[IMU][0]) for one in imu[1:] if one.usable < _LEAST_USABLE}
     return Topics(imu, gnss, tuple(named[TEMPERATURE]), others, where)
 
@@ -143,14 +143,14 @@ def _gnss(path, topic, imu_topic) -> Candidate:
 
 
 def _read(path, topic, kind, imu_topic) -> dict[str, object]:
-    """The samples that the messages of `topic`, of the type `kind`, are, by the name of each measurement."""
+    """The possible samples of the messages of `topic`, of the type `kind`, by the name of the measurement."""
     read = read_recording(path, imu_topic, inputs=_AIDING[kind],
                           **{one.topic: topic for one in _AIDING[kind]}).streams()
     return {one.name: read[one.name] for one in _AIDING[kind]}
 
 
 def _stamps(samples):
-    """Rate, Hz, and the scatter of the intervals as a part of one."""
+    """Rate, Hz, and relative scatter of the intervals."""
     steps = np.diff(samples.stamp) * 1e-9
     advancing = steps[steps > 0]
     if not len(advancing):
@@ -160,13 +160,13 @@ def _stamps(samples):
 
 
 def _imu_rank(candidate: Candidate):
-    """Measurements before results; then what is usable, evenly stamped, fast; then by name."""
+    """Order: measurements before results; then usable, evenly stamped and fast ones; then by name."""
     return (candidate.derived, -round(candidate.usable, 2), round(candidate.jitter, 1), -round(candidate.rate, -1),
             candidate.topic)
 
 
 def _gnss_rank(candidate: Candidate):
-    """Measurements before references; then by the usable part, the stated sigma, and the rate."""
+    """Order: measurements before references; then by the usable share, the stated sigma, and the rate."""
     return (candidate.derived, -round(candidate.usable, 2),
             round(candidate.sigma, 3) if np.isfinite(candidate.sigma) else 1e3, round(candidate.jitter, 1),
             -candidate.rate, candidate.topic)

@@ -1,4 +1,4 @@
-"""IMU and GNSS logs in CSV to samples, in the axes and units of the ROS messages."""
+"""Import of IMU and GNSS logs in CSV: samples in the axes and units of the ROS messages."""
 from __future__ import annotations
 
 import re
@@ -49,9 +49,9 @@ DIRECTIONS = {'forward': (1, 0, 0), 'back': (-1, 0, 0), 'left': (0, 1, 0), 'righ
 
 
 def axes_rotation(text: str) -> np.ndarray:
-    """Rotation from sensor axes to forward-left-up of three words that say where the sensor's x, y and z point.
+    """Rotation from sensor axes to forward-left-up, from three words for the directions of the sensor's x, y and z.
 
-    The words are keys of DIRECTIONS. RecordingError unless they make a right-handed set of axes.
+    The words are keys of DIRECTIONS. RecordingError unless they form a right-handed set of axes.
     """
     words = text.replace(',', ' ').lower().split()
     if len(words) != 3 or any(word not in DIRECTIONS for word in words):
@@ -70,15 +70,15 @@ def axes_rotation(text: str) -> np.ndarray:
 def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward left up', time_unit=None,
              acceleration_unit=None, gyro_unit=None, *, increments: bool = False, rows: tuple[str, str] | None = None,
              gyro=None, gravity=None) -> tuple[ImuSamples, Temperatures | None, str]:
-    """Samples turned to forward-left-up, temperatures if there is such a column, and which column was used for what.
+    """Samples in forward-left-up, temperatures if there is a column for them, and the columns that were used.
 
-    columns: those whose names are not usual, by the keys of IMU_COLUMNS, `NAME [unit]` states a unit, `A|B` is the
-    first that is there. Units that are None are those stated, else those in the names of the first columns, else m/s^2
-    and rad/s; time's also from its intervals. increments: of velocity and angle since the sample before, instead of
-    rates. rows: (column, value) of those to take. gyro: a file of its own with the angular rates, which are
-    interpolated to the times of the specific force. gravity: a file of its own with the gravity that the specific force
-    lacks, interpolated in the same way. Raises RecordingError; what is missing is named all at once, with the options
-    that would fit.
+    columns: columns with unusual names, by the keys of IMU_COLUMNS; `NAME [unit]` gives a unit, `A|B` is the first that
+    exists. Units that are None are those given there, else those in the names of the first columns, else m/s^2 and
+    rad/s; that of the time is also found from its intervals. increments: the columns are increments of velocity and
+    angle since the previous sample, instead of rates. rows: (column, value) of the rows to use. gyro: a separate file
+    of the angular rates, which are interpolated to the times of the specific force. gravity: a separate file of the
+    gravity that the specific force does not contain, interpolated in the same way. Raises RecordingError, which names
+    all missing columns and suggests options.
     """
     rotation, columns = axes_rotation(axes), columns or {}
     table = _selected_rows(read_table(path), rows)
@@ -125,7 +125,7 @@ def _vectors(table: Table, found: dict[str, Column], sensor: str) -> np.ndarray:
 
 
 class _SensorFile:
-    """One sensor of three axes in a file of its own, interpolated to the times of another. sensor: a or w."""
+    """One sensor with three axes in a separate file, interpolated to the times of another one. sensor: a or w."""
 
     def __init__(self, path, sensor: str, columns, time_unit, unit):
         self.table = read_table(path)
@@ -140,26 +140,27 @@ class _SensorFile:
         self.values = _vectors(self.table, self.found, sensor)[order] * units[self.unit]
 
     def covers(self, stamp: np.ndarray, path) -> np.ndarray:
-        """(n,) which of the times lie within; RecordingError, naming the file `path` that they are of, where none."""
+        """(n,) which of the times are inside the file; RecordingError with the name `path` of the other file if none
+        is."""
         inside = (stamp >= self.stamp[0]) & (stamp <= self.stamp[-1])
         if not inside.any():
             raise RecordingError(f'{path} and {self.table.path} do not overlap in time')
         return inside
 
     def at(self, stamp: np.ndarray) -> np.ndarray:
-        """(n, 3) linear in between."""
+        """(n, 3) linear interpolation."""
         return np.column_stack([np.interp(stamp - self.stamp[0], self.stamp - self.stamp[0], v) for v in self.values.T])
 
 
 def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle_unit=None,
               sigma: float = 2.5, *, rows: tuple[str, str] | None = None) -> tuple[Fixes, str]:
-    """Fixes, and which column was used for what.
+    """Fixes, and the columns that were used.
 
-    path: CSV, or NMEA. columns, units, rows: as for `read_imu`, with the keys of GNSS_COLUMNS; angles are in degrees
-    without a unit, or in 1e-7 deg where they are beyond 360.
-    sigma: horizontal standard deviation, m, where the file has no column for it; times HDOP where it has that. The
-    vertical is twice that without a column. Without a height it is zero. Rows with an empty or impossible position, or
-    a status that says so, become messages without a fix. Raises RecordingError.
+    path: CSV, or NMEA. columns, units, rows: as for `read_imu`, with the keys of GNSS_COLUMNS; angles without a unit
+    are in degrees, or in 1e-7 deg if they are beyond 360. sigma: horizontal standard deviation, m, if the file has no
+    column for it; multiplied by HDOP if there is a column for this. Without columns the vertical one is twice that, and
+    the height is zero. Rows with an empty or impossible position, or a status without a fix, become messages without a
+    fix. Raises RecordingError.
     """
     if not 0 < sigma < np.inf:
         raise RecordingError(f'the sigma of fixes must be above 0, got {sigma:g}')
@@ -181,7 +182,7 @@ def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle
         raise RecordingError(f"{path}: latitudes and longitudes beyond 90 and 360 deg: are they in {angle_unit}?")
 
     def column(wanted, default='m'):
-        """The column in metres, None where there is none. default: its unit where neither it nor the user says."""
+        """The column in metres, None if there is none. default: its unit if neither it nor the user gives one."""
         if wanted not in found:
             return None
         return table.numbers(found[wanted].name) * LENGTH_UNITS[found[wanted].unit_among(LENGTH_UNITS, default)]
@@ -210,7 +211,7 @@ def _nmea_fixes(path, sigma: float) -> tuple[Fixes, str]:
 
 
 def _covariance(horizontal, vertical, hdop, sigma: float, count: int) -> np.ndarray:
-    """(n, 3, 3) m^2, east-north-up, of what the file states, (n,) each or None."""
+    """(n, 3, 3) m^2, east-north-up, from the columns of the file, (n,) each or None."""
     fallback = np.full(count, sigma)
     if hdop is not None:
         fallback = np.where(hdop > 0, sigma * np.where(hdop > 0, hdop, 1.0), sigma)
@@ -222,7 +223,7 @@ def _covariance(horizontal, vertical, hdop, sigma: float, count: int) -> np.ndar
     return covariance
 
 
-#: quality of a GGA sentence, and the fix type of u-blox, PX4 and ArduPilot, as `NavSatStatus.status`
+#: `NavSatStatus.status` for the quality of a GGA sentence, and for the fix type of u-blox, PX4 and ArduPilot
 _QUALITY = {0: -1, 1: 0, 2: 1, 3: 0, 4: 2, 5: 2, 6: -1, 7: 0, 8: -1}
 _FIX_TYPE = {0: -1, 1: -1, 2: 0, 3: 0, 4: 1, 5: 2, 6: 2}
 _WORDS = {'': -1, 'a': 0, 'v': -1, 'none': -1, 'no fix': -1, 'nofix': -1, 'invalid': -1, '2d': 0, '3d': 0, 'gps': 0,
@@ -246,8 +247,7 @@ def _statuses(table: Table, name: str) -> np.ndarray:
 
 def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None, *,
                   rows: tuple[str, str] | None = None) -> tuple[Velocities, str] | None:
-    """The receiver's velocities in the file of the fixes, and which column was used for what; None without such
-    columns.
+    """The receiver's velocities in the file of the fixes, and the columns that were used; None without such columns.
 
     columns: as for `read_gnss`. In the unit in brackets, else m/s. Without a column `down` the vertical velocity is
     NaN; without one for the standard deviation the covariance is NaN. Raises RecordingError.
@@ -269,11 +269,11 @@ def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None, *
 
 
 def read_speed(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Speeds | Twists, str]:
-    """Speeds of the rear axle, forward positive, and which column was used for what. With a turn rate, left positive,
-    the result is an odometry.
+    """Speeds of the rear axle, forward positive, and the columns that were used. With a turn rate, left positive, the
+    result is an odometry.
 
-    columns: those whose names are not usual, by the keys of SPEED_COLUMNS. In the units in brackets, else m/s and
-    rad/s; without a column `sigma` the variance is NaN. Raises RecordingError.
+    columns: columns with unusual names, by the keys of SPEED_COLUMNS. In the units in brackets, else m/s and rad/s;
+    without a column `sigma` the variance is NaN. Raises RecordingError.
     """
     table, columns = read_table(path), columns or {}
     found = _require(table, ('speed',), SPEED_COLUMNS, columns)
@@ -295,10 +295,10 @@ def read_speed(path, columns: dict[str, str] | None = None, time_unit=None) -> t
 
 
 def read_pressure(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Pressures, str]:
-    """Air pressures, Pa, and which column was used for what.
+    """Air pressures, Pa, and the columns that were used.
 
-    columns: those whose names are not usual, by the keys of PRESSURE_COLUMNS. The unit is that in brackets, else the
-    one in which the values are possible air pressures. Raises RecordingError.
+    columns: columns with unusual names, by the keys of PRESSURE_COLUMNS. The unit is that in brackets, else the one in
+    which the values are possible air pressures. Raises RecordingError.
     """
     table, columns = read_table(path), columns or {}
     found = _require(table, ('pressure',), PRESSURE_COLUMNS, columns)
@@ -314,16 +314,16 @@ def read_pressure(path, columns: dict[str, str] | None = None, time_unit=None) -
 
 
 def _unit_of_factor(units: dict[str, float], factor: float | None) -> str:
-    """The one of `units` with this factor to SI, '' where there is none."""
+    """The unit of `units` with this factor to SI, '' if there is none."""
     return next((unit for unit, per in units.items() if per == factor), '')
 
 
 def read_magnetometer(path, columns: dict[str, str] | None = None, axes: str = 'forward left up', time_unit=None
                       ) -> tuple[MagneticFields, str]:
-    """Magnetic fields turned to forward-left-up, T, and which column was used for what.
+    """Magnetic fields in forward-left-up, T, and the columns that were used.
 
-    columns: those whose names are not usual, by the keys of MAGNETOMETER_COLUMNS. axes: as for `read_imu`. The unit is
-    that in brackets, else the one in which the values are possible fields of the earth. Raises RecordingError.
+    columns: columns with unusual names, by the keys of MAGNETOMETER_COLUMNS. axes: as for `read_imu`. The unit is that
+    in brackets, else the one in which the values are possible fields of the earth. Raises RecordingError.
     """
     rotation, table, columns = axes_rotation(axes), read_table(path), columns or {}
     found = _require(table, _AXES['m'], MAGNETOMETER_COLUMNS, columns, {f'm{axis}': (axis,) for axis in 'xyz'})
@@ -338,7 +338,7 @@ def read_magnetometer(path, columns: dict[str, str] | None = None, axes: str = '
 
 
 def _selected_rows(table: Table, rows: tuple[str, str] | None) -> Table:
-    """The rows of `table` in which a column has a value, by (column, value); all where it has no such column."""
+    """The rows of `table` with a given value in a column, by (column, value); all if it has no such column."""
     if rows is None or rows[0] not in table.names:
         return table
     cells = table.columns[table.names.index(rows[0])]
@@ -350,7 +350,7 @@ def _selected_rows(table: Table, rows: tuple[str, str] | None) -> Table:
 
 def _require(table: Table, wanted, known: dict, columns: dict[str, str], alone: dict | None = None
              ) -> dict[str, Column]:
-    """The column for each of `wanted`; RecordingError that names all that are missing, and what would fit.
+    """The column for each of `wanted`; RecordingError with all missing ones and suggestions.
 
     alone: further names that are usual in this file.
     """
@@ -368,9 +368,9 @@ def _require(table: Table, wanted, known: dict, columns: dict[str, str], alone: 
 
 
 def _times(table: Table, columns: dict[str, str], unit, longest: float, found: dict[str, Column]):
-    """Stamps (n,) ns, UTC, and their unit; adds to `found` which columns they are from.
+    """Stamps (n,) ns, UTC, and their unit; adds the columns that they are from to `found`.
 
-    unit: None where it is to be found. longest: s, between two rows. RecordingError where there is no time.
+    unit: None if it is to be found. longest: s, between two rows. RecordingError without a time.
     """
     source = time_source(table, columns)
     if source is None:
