@@ -12,7 +12,7 @@ from mems_ins_fusion.configuration.remaining import ARM
 from mems_ins_fusion.configuration.setting import (
     ARM_SHOWN,
     ARM_UNKNOWN,
-    SIGNIFICANT,
+    SET_SIGMAS,
     TF_ARM,
     Setting,
     arm_apart,
@@ -163,7 +163,7 @@ def _arm_settings(offset, told: np.ndarray | None) -> tuple[Setting, Setting]:
     if told is not None:
         return Setting(name, rounded(told, 3), (f'from {TF}; the drive shows {seen} m forward, left, up',)), of_tf
     known = [sigma < ARM_SHOWN and is_sure(arm, sigma) for arm, sigma in zip(offset.arm, offset.arm_sigma)]
-    left = '' if all(known) else (f'; what is not known to {ARM_SHOWN:g} m, or less than {SIGNIFICANT:g} sigma, is '
+    left = '' if all(known) else (f'; what is not known to {ARM_SHOWN:g} m, or less than {SET_SIGMAS:g} sigma, is '
                                   'left at zero')
     arm = [round(float(part), 2) + 0.0 if there else 0.0 for part, there in zip(offset.arm, known)]
     sigma = max(s if there else min(math.hypot(part, s), ARM_UNKNOWN)

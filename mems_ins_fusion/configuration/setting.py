@@ -8,7 +8,7 @@ import numpy as np
 from mems_ins_fusion.recordings.remarks import SURE
 
 #: sigmas: a value that differs from zero by less is not set
-SIGNIFICANT = 2.0
+SET_SIGMAS = 2.0
 #: sigmas, the same for time offsets of inputs, of which a file has several: with two sigmas, one file in five would
 #: have a false one
 OF_SEVERAL = 3.0
@@ -29,12 +29,12 @@ class Setting:
     why: tuple[str, ...]
 
 
-def is_sure(value: float, sigma: float, sigmas: float = SIGNIFICANT) -> bool:
+def is_sure(value: float, sigma: float, sigmas: float = SET_SIGMAS) -> bool:
     """Whether a value differs from zero by at least that many sigmas."""
     return bool(abs(value) > sigmas * sigma)
 
 
-def at_zero(sigmas: float = SIGNIFICANT) -> str:
+def at_zero(sigmas: float = SET_SIGMAS) -> str:
     """Last line of the evidence for a value that is not set, as it is smaller."""
     return f': less than {sigmas:g} sigma, left at zero'
 

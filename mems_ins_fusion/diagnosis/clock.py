@@ -26,7 +26,8 @@ IMU, GNSS, OWN, AUTO = 'imu', 'gnss', 'own', 'auto'
 SAME = 0.02  # s, largest time offset with which two clocks count as the same
 SIGMAS = 2.0  # number of sigmas by which the offset must exceed SAME for them to be different
 UNKNOWN = 0.03  # s, largest sigma with which the offset counts as known
-BLOCK = 20.0  # s, length of blocks of fixes whose errors may be correlated
+#: s, length of a block of fixes whose errors, and scores, may be correlated
+FIX_BLOCK = 20.0
 SLOWEST = 1.0  # m/s, lowest speed at which positions show a time offset
 ITERATIONS = 3  # number of linearizations when the time offset of a track is estimated
 
@@ -108,7 +109,7 @@ def _along(at: np.ndarray, off: np.ndarray, velocity: np.ndarray) -> tuple[float
         return float('nan'), float('nan')
     # without their means: a constant difference is that of another antenna or datum, not of time
     off, velocity = (v[good] - v[good].mean(axis=0) for v in (off, velocity))
-    block = np.unique((at[good] // BLOCK).astype(int), return_inverse=True)[1]
+    block = np.unique((at[good] // FIX_BLOCK).astype(int), return_inverse=True)[1]
     share, weight = (np.bincount(block, (velocity * v).sum(axis=1)) for v in (off, velocity))
     late = share.sum() / weight.sum()
     return float(late), float(np.sqrt(((share - late * weight) ** 2).sum()) / weight.sum())

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .problem import BLOCK, Problem, Unknown, block_begins, blocks
+from .clock import FIX_BLOCK
+from .problem import Problem, Unknown, block_begins, blocks
 from .residuals import TAIL, Residual, whiten, whiten_matrix
 
 #: an innovation, or its slope, of more sigma is the filter's that has left the earth; its square is a number still
@@ -144,7 +145,7 @@ class Model:
         """
         variance, score = np.diag(self.covariance), self.scores.score[self.problem.mask]
         seconds = np.ptp(self.problem.stamp[self.problem.mask]) * 1e-9
-        for begins in (*blocks(self.problem), block_begins(self.problem, max(seconds / LONGEST_PART, BLOCK))):
+        for begins in (*blocks(self.problem), block_begins(self.problem, max(seconds / LONGEST_PART, FIX_BLOCK))):
             sums = np.add.reduceat(score, begins)
             variance = np.maximum(variance, np.diag(self.covariance @ (sums.T @ sums) @ self.covariance))
         return np.sqrt(variance)

@@ -18,7 +18,7 @@ from .problem import Problem
 from .residuals import Residual
 
 #: largest p value of a held-out gain that is above CLEAR; a smaller gain needs a p value below CERTAIN
-SIGNIFICANCE = 0.2
+HELD_OUT_P = 0.2
 #: gain of log likelihood, five sigma. On real cars there are always small model errors, from which an effect with many
 #: parameters gains a little
 CLEAR = 12.5
@@ -50,7 +50,7 @@ class HeldOut:
 
     @property
     def helps(self) -> bool:
-        return self.stands and self.gain > 0 and (self.p < CERTAIN or self.gain > CLEAR and self.p < SIGNIFICANCE)
+        return self.stands and self.gain > 0 and (self.p < CERTAIN or self.gain > CLEAR and self.p < HELD_OUT_P)
 
 
 def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:

@@ -25,7 +25,7 @@ from ..filter.runs.results import Run
 from ..filter.start.start import Start, transferred
 from ..samples import Fixes, ImuSamples, Recording
 from ..threads import threads
-from .clock import GNSS, IMU
+from .clock import FIX_BLOCK, GNSS, IMU
 from .residuals import Residual, lasting
 
 SETTLING = 20.0  # s after the start without residuals: these innovations show the alignment
@@ -46,7 +46,6 @@ SEEN_TOO = 0.9
 #: names of the residuals besides the horizontal position of a fix: its height, and those of the constraints
 BESIDE = ('height', 'sideways', 'upwards', 'north at rest', 'east at rest', 'down at rest')
 FEWEST_SAID = 3  # smallest number of constraints since the last fix of which a mean is taken
-BLOCK = 20.0  # s, length of a block of fixes whose scores may be correlated
 LONG_BLOCK = 60.0  # s, length of the longer blocks that are also used: errors of a receiver can last for minutes
 FEWEST_BLOCKS = 10  # smallest number of long blocks in a recording: fewer do not show their scatter
 
@@ -388,13 +387,13 @@ def on_all_cores(work: Callable, items: Iterable, between: Callable[[], None] = 
     return found
 
 
-def block_begins(problem: Problem, length: float = BLOCK) -> np.ndarray:
+def block_begins(problem: Problem, length: float = FIX_BLOCK) -> np.ndarray:
     """Indices, among the fixes of the mask, at which blocks of `length` s begin."""
     block = (problem.stamp[problem.mask] - problem.stamp[0]) // round(length * 1e9)
     return np.unique(block, return_index=True)[1]
 
 
 def blocks(problem: Problem) -> list[np.ndarray]:
-    """`block_begins` for BLOCK, and for LONG_BLOCK if the recording is long enough."""
+    """`block_begins` for FIX_BLOCK, and for LONG_BLOCK if the recording is long enough."""
     long = block_begins(problem, LONG_BLOCK)
     return [block_begins(problem), *([long] if len(long) >= FEWEST_BLOCKS else [])]

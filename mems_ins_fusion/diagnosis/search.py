@@ -28,7 +28,7 @@ from .noise import calibrated, noise_unknowns
 from .outliers import isolated
 from .plausible import implausible
 from .tracing import (
-    SIGNIFICANCE,
+    FAMILY_ERROR_RATE,
     Candidate,
     effect_unknowns,
     group,
@@ -109,11 +109,11 @@ def add_best(known: Known, trials: TrialRuns) -> Known:
         for candidate in traced:
             if candidate.name not in best or candidate.p < best[candidate.name][0].p:
                 best[candidate.name] = candidate, view
-        plain = [c for c in traced if c.p_adjusted <= SIGNIFICANCE and c.scores is not None]
+        plain = [c for c in traced if c.p_adjusted <= FAMILY_ERROR_RATE and c.scores is not None]
         plain.sort(key=lambda c: 2 * len(c.theta) - c.gain)
         significant += [(rank, c, view) for rank, c in enumerate(plain[:TRIED]) if c.gain >= PART * plain[0].gain]
         alone = plainest_in_one(traced, moved)
-        if alone is not None and alone[1] <= SIGNIFICANCE:
+        if alone is not None and alone[1] <= FAMILY_ERROR_RATE:
             significant.append((TRIED, alone[0], view))
     candidates = sorted((c for c, _ in best.values()), key=lambda c: (c.p, -c.gain))
     known = replace(known, rounds=(*known.rounds, candidates))
@@ -122,7 +122,7 @@ def add_best(known: Known, trials: TrialRuns) -> Known:
     names = [c.name for _, c, _ in sorted(significant, key=lambda found: (found[0], best[found[1].name][0].p))]
     names = list(dict.fromkeys(names))[:MOST_TRIED]
     names += [plain for plain, varied in VARIED.items() if plain not in names and any(n in names for n in varied)
-              and plain in best and best[plain][0].p_adjusted <= SIGNIFICANCE]
+              and plain in best and best[plain][0].p_adjusted <= FAMILY_ERROR_RATE]
     # an effect that is large may not show at noise levels that were fitted without it
     names += [name for name, sizes in trials.starts.items() if sizes and name not in names and name in best
               and (name in trials.certain or best[name][0].scores is not None and not known.rounds[:-1])]

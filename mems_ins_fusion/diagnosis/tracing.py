@@ -20,7 +20,7 @@ from .fit import Scores, scores
 from .problem import Problem, Unknown, blocks
 from .residuals import Residual
 
-SIGNIFICANCE = 0.01  # largest family-wise error rate of the tests in one round
+FAMILY_ERROR_RATE = 0.01  # largest family-wise error rate of the tests in one round
 #: share of the signal of one effect that another effect explains, above which the two are not distinguished
 PARALLEL = 0.95
 DETERMINED = 1.0  # largest sigma of a parameter that is determined, in units of its usual size
@@ -193,7 +193,7 @@ def group(winner: Candidate, others: Sequence[Candidate], mask: np.ndarray) -> l
     """
     names = [winner.name]
     for other in others:
-        if other.name == winner.name or other.scores is None or other.p > SIGNIFICANCE:
+        if other.name == winner.name or other.scores is None or other.p > FAMILY_ERROR_RATE:
             continue
         both = winner.scores.joined(other.scores)
         information, total = both.information(mask), both.gradient(mask)

@@ -17,7 +17,7 @@ from ..samples import Recording
 from .fit import Scores, scores
 from .problem import Problem, Unknown
 from .residuals import Residual
-from .tracing import SIGNIFICANCE, efficient, significance
+from .tracing import FAMILY_ERROR_RATE, efficient, significance
 
 SMOOTH = 0.2  # s over which angular rate and specific force are averaged before they are squared
 # root mean squares of errors, as steps for finite differences:
@@ -57,7 +57,7 @@ def goes_with(problem: Problem, nuisance: Scores, at: Residual) -> list[GoesWith
         gain, p = significance(problem, own, theta, total)
         results.append(GoesWith(where, what, float(theta[0]), float(information[0, 0] ** -0.5), unit, gain, p))
     adjusted = holm([r.p for r in results])
-    return sorted((replace(r, p=float(p)) for r, p in zip(results, adjusted) if p <= SIGNIFICANCE),
+    return sorted((replace(r, p=float(p)) for r, p in zip(results, adjusted) if p <= FAMILY_ERROR_RATE),
                   key=lambda r: -r.gain)
 
 

@@ -37,7 +37,7 @@ _BACK = 1
 #: largest number of stretches; if there are more, every sample is kept
 _MOST_BREAKS = 100
 #: p-value, adjusted for the number of comparisons, below which a difference is significant
-SIGNIFICANCE = 0.05
+COMPARISON_P = 0.05
 
 
 class ReplayError(InputError):
@@ -85,7 +85,7 @@ class PairResult:
 
     @property
     def significant(self) -> bool:
-        return self.p_adjusted < SIGNIFICANCE
+        return self.p_adjusted < COMPARISON_P
 
     @property
     def better(self) -> str:

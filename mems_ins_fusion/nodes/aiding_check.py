@@ -14,7 +14,7 @@ from ..samples import SECOND, Fixes
 
 #: Hz, rate at which samples of each input are kept: the motion of a vehicle has no higher frequencies
 RATE = 10.0
-#: s for which samples are kept: some bends and stops
+#: s for which samples of the inputs, and means of those of the IMU, are kept: some bends and stops; some 400 kB each
 MEMORY = 240.0
 #: s between two checks of an input
 PERIOD = 5.0

@@ -10,11 +10,10 @@ from ..configuration.check import YAW_NOT_SHOWN, check_standstills, judge_mounti
 from ..recordings.checker import ERROR, check_units
 from ..recordings.motion import find_standstill
 from ..samples import SECOND, Fixes, ImuSamples
+from .aiding_check import MEMORY
 
 #: Hz, rate to which the samples are averaged
 RATE = 20.0
-#: s for which the averaged samples are kept: some 400 kB
-MEMORY = 240.0
 #: s of samples after which the mounting is checked; each check takes some 50 ms
 LOOKS = (30.0, 60.0, 120.0, 240.0, 480.0, 960.0)
 LONGEST_GAP = 5.0  # s, longest gap in the samples; after a longer one the check begins again

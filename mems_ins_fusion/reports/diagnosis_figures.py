@@ -6,7 +6,7 @@ import numpy as np
 from ..diagnosis.detection import COMPONENTS, LAGS
 from ..diagnosis.findings import Diagnosis
 from ..diagnosis.measured import Measured
-from ..diagnosis.tracing import SIGNIFICANCE
+from ..diagnosis.tracing import FAMILY_ERROR_RATE
 from ..evaluation.outages import Outages
 from .colours import AFTER, BEFORE, FITTED
 from .html import empty_figure
@@ -80,7 +80,7 @@ def evidence(diagnosis: Diagnosis):
             len(shown), 1, height_ratios=[3 + len(ranked) for ranked in shown])), shown)):
         chosen = diagnosis.chosen[i:i + 1]
         axes.barh([c.name for c in ranked], [c.gain for c in ranked],
-                  color=[AFTER if c.name in chosen else '#9fcbe6' if c.p_adjusted <= SIGNIFICANCE else '0.85'
+                  color=[AFTER if c.name in chosen else '#9fcbe6' if c.p_adjusted <= FAMILY_ERROR_RATE else '0.85'
                          for c in ranked])
         axes.tick_params(labelsize=7)
         axes.set_title(f'round {i + 1}', fontsize=9)
