@@ -147,6 +147,7 @@ def _publish_all(memory, other, r):
     spread = r + Hypothesis.SPREAD
     for i in range(4):
         memory[spread + i] = 0.0
+    memory[r + Hypothesis.SPREAD_VARIANCE] = 0.0
     if memory[Bank.OPEN] == 0.0:
         return
     refusing = memory if memory[r + Hypothesis.FIXES_WRONG] != 0.0 else other
@@ -170,6 +171,7 @@ def _reach_to(memory, other, r, off, share, sigma):
     north = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE] - off[0]
     east = (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE] - off[1]
     distance = math.hypot(north, east)
+    memory[r + Hypothesis.SPREAD_VARIANCE] += share * sigma * sigma
     if share == 0.0 or distance == 0.0:
         return
     far = hypotheses.reach(share, distance, sigma)

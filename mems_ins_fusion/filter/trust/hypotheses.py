@@ -46,7 +46,8 @@ Hypothesis = ROW.place(
     AGAINST_START=1,  # 1: it is compared with a filter that has started anew from these fixes,
     START_DUE=1,  # START_ANEW, START_WITHOUT_IMU, or 0: the next fix is used as any other,
     CONSISTENT=1,  # 1: it has refused no row of fixes since that start, or since it became the second filter
-    SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
+    SPREAD=4,  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says,
+    SPREAD_VARIANCE=1)  # m^2, on each axis: variance of where the vehicle is by the others, times their probability
 
 #: position and velocity start anew from the next fix, without or with the IMU known as wrong
 START_ANEW, START_WITHOUT_IMU = 1.0, 2.0
