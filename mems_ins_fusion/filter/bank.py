@@ -141,6 +141,13 @@ def compare(memory):
 
 
 @njit(_nrt=False)
+def _imu_wrong_score(refusing, r):
+    """Nats: score of the statement that the fixes that the filter `refusing` leaves are right, and the IMU is wrong. An
+    extrapolated fix is none that is right."""
+    return hypotheses.score(refusing, r) + refusing[r + Hypothesis.IMU_NATS] - extrapolation.odds(refusing, r)
+
+
+@njit(_nrt=False)
 def _publish_all(memory, other, r):
     """Write to the state at r how far the published covariance reaches (`Hypothesis.SPREAD`): to the other filter, or
     to where the fixes are if the IMU is wrong, whichever is further."""
@@ -154,7 +161,7 @@ def _publish_all(memory, other, r):
     its = math.exp(min(hypotheses.score(other, r) - hypotheses.score(memory, r), 100.0))
     without_imu = 0.0
     if refusing[r + Hypothesis.FIXES_WRONG] != 0.0:
-        without_imu = math.exp(min(hypotheses.imu_wrong_score(refusing, r) - hypotheses.score(memory, r), 100.0))
+        without_imu = math.exp(min(_imu_wrong_score(refusing, r) - hypotheses.score(memory, r), 100.0))
     total, at = 1.0 + its + without_imu, r + Hypothesis.IMU_OFFSET
     sigma = math.sqrt(0.5 * (other[element_at(other, r, 0, 0)] + other[element_at(other, r, 1, 1)]))
     _reach_to(memory, other, r, (0.0, 0.0, 0.0, 0.0), its / total, sigma)
@@ -251,11 +258,11 @@ def _start_without_imu(memory, other, r):
     latest fix and does not use the IMU for a while, and the second assumes that the fixes are wrong."""
     swapped = memory[r + Hypothesis.FIXES_WRONG] == 0.0
     refusing, using = (other, memory) if swapped else (memory, other)
-    nats, time = refusing[r + Hypothesis.IMU_NATS], memory[r + Nav.FIX_TIME]
+    its, time = _imu_wrong_score(refusing, r), memory[r + Nav.FIX_TIME]
     # as long as the latest fix fits the filter that uses them, that goes on with the IMU: stamps may be off, too
     fits = using[r + Hypothesis.OUTLIER_NATS] < 0.0
-    if (refusing[r + Hypothesis.FIXES_WRONG] == 0.0 or nats < 0.0 or fits
-            or hypotheses.score(refusing, r) + nats < hypotheses.score(using, r)
+    if (refusing[r + Hypothesis.FIXES_WRONG] == 0.0 or its < hypotheses.score(refusing, r) or fits
+            or its < hypotheses.score(using, r)
             or imu_faults.is_wrong(using, r, time)):
         return
     k = state_before(refusing, time)
@@ -274,7 +281,7 @@ def _start_without_imu(memory, other, r):
     squared = 0.5 * (memory[velocity] ** 2 + memory[velocity + 1] ** 2)
     learn_from_velocity(other, start, time, squared, time - memory[Bank.WRONG_SINCE])
     _start_anew(other, k, hypotheses.START_WITHOUT_IMU)
-    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] + nats
+    other[r + Hypothesis.SCORE] += its - hypotheses.score(other, r)
     _swap(memory, other)
     memory[Bank.SEARCHED] = 1.0
 
@@ -289,9 +296,9 @@ def _is_better(memory, other, r):
     its, mine = hypotheses.score(other, r), hypotheses.score(memory, r)
     if other[r + Hypothesis.FIXES_WRONG] == 0.0:
         if memory[r + Hypothesis.FIXES_WRONG] != 0.0:
-            its = hypotheses.either(its, hypotheses.imu_wrong_score(memory, r))  # the fixes are right in both
+            its = hypotheses.either(its, _imu_wrong_score(memory, r))  # the fixes are right in both
         return its > mine
-    return (its - mine > SERIOUS_NATS and its > hypotheses.imu_wrong_score(other, r)
+    return (its - mine > SERIOUS_NATS and its > _imu_wrong_score(other, r)
             and hypotheses.strayed_nats(other, r) < -SERIOUS_NATS
             and memory[r + Hypothesis.FIXES_WRONG] == 0.0
             and memory[r + Nav.USE_ALL_FIXES] == 0.0 and fix_drift.are_followed(memory, r)
@@ -325,7 +332,7 @@ def _search_begin(memory, other, r, interval):
         score = _refuse_since(memory, other, latest - back, interval)
         if score == -math.inf:
             break
-        its = hypotheses.imu_wrong_score(other, r)
+        its = _imu_wrong_score(other, r)
         fixes_wrong, imu_wrong = max(fixes_wrong, score), max(imu_wrong, its)
         either = hypotheses.either(score, its)
         if either > best:

@@ -119,6 +119,13 @@ def are_found(mem, r):
 
 
 @njit(_nrt=False)
+def odds(mem, r):
+    """Nats by which the latest fixes are more likely extrapolated than measured, with the rate at which receivers fail;
+    0 where they are not."""
+    return max(mem[r + Extrapolation.NATS] + math.log(hypotheses.FAULT_RATE), 0.0)
+
+
+@njit(_nrt=False)
 def note_move(mem, r, before, after):
     """Remember what a fix on the line has done to the state at r: its position and velocity before and after that."""
     if mem[r + Extrapolation.NATS] > 0.0:

@@ -164,13 +164,6 @@ def either(first, second):
 
 
 @njit(_nrt=False)
-def imu_wrong_score(row, r):
-    """Nats: score of the statement that the fixes that the filter with the state at r refuses are right, and the IMU is
-    wrong."""
-    return score(row, r) + row[r + Hypothesis.IMU_NATS]
-
-
-@njit(_nrt=False)
 def reach(share, distance, sigma):
     """Sigma, m, that the other filter adds to the published position in its direction; share: its probability.
 
