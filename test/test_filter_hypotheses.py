@@ -246,6 +246,21 @@ def test_an_accelerometer_that_is_off_is_left_and_not_the_fixes(mechanization, r
     assert (off < math.sqrt(chi2.ppf(0.95, 2)) * np.hypot(*sigma.T) + 2.0)[far].mean() > 0.7
 
 
+def test_a_receiver_that_goes_straight_on_while_the_vehicle_brakes_is_not_laid_to_the_imu():
+    # given a vehicle that brakes with 4 m/s^2 from 35 s on and stands, and fixes that go straight on at 10 m/s
+    drive = Drive(1.0, 1.5)
+    time, braking = drive.samples[:, 0], 10.0 / 4.0
+    drive.samples[(time > 35.0) & (time <= 35.0 + braking), 1] -= 4.0
+    after = np.flatnonzero(drive.time > 35.0)
+    since = drive.time[after] - drive.time[after[0] - 1]
+    drive.position[after] = drive.position[after[0] - 1] + np.outer(since, [10.0, 0.0])
+    _, _, error, _, _ = drive.through('planar')
+    # then the filter stays where it has come to rest, though by the fixes an IMU that is wrong would explain it as well
+    since = np.maximum(time - 35.0, 0.0)
+    braked = np.where(since < braking, 2.0 * since**2, 10.0 * since - 5.0 * braking)  # behind one that does not brake
+    assert np.hypot(error[:, 0] + braked, error[:, 1]).max() < 12.0
+
+
 @BOTH
 def test_precise_fixes_that_jump_for_less_than_the_recovery_time_are_not_followed(mechanization):
     # given fixes of 2 cm, ten a second, that are 8 m off to the east for 8 s; gnss.recovery_time is 10 s
