@@ -112,7 +112,8 @@ NEVER = {
     'gyroscopes whose error jumps': {'trust.gyroscopes.JUMP_SIGMAS': 1e9},
     'the end of such an error': {'trust.gyroscopes.SHORTEST_ERROR': 1e9},
     # the second filter
-    'earlier begins of wrong fixes': {f'bank.EARLIER[{i}]': 0.0 for i in range(3)},
+    'earlier begins of wrong fixes': {f'bank.EARLIER[{i}]': 0.0 for i in range(4)},
+    'wrong fixes whose offset stays': {'trust.hypotheses.STAYS_WALK': 1e6},
     'the second filter where the first follows fixes that drift away': {'trust.fix_drift.FAR_RATIO': 1e9},
     'a new start that the second filter tries': {'trust.new_start.DIVERGED_AFTER': 1e9},
     'penalty of a new start': {'trust.hypotheses.RESTART_PENALTY': 0.0},

@@ -23,7 +23,7 @@ from mems_ins_fusion.filter.trust import new_start
 from ablation import lay_over
 lay_over({'prediction.GAP_ACCELERATION': 9.0, 'bank.EARLIER[1]': 0.5})
 print(prediction.GAP_ACCELERATION, new_start.GAP_ACCELERATION, *bank.EARLIER)
-""") == ['9.0', '9.0', '2.0', '0.5', '8.0']
+""") == ['9.0', '9.0', '0.0', '0.5', '4.0', '8.0']
 
 
 def test_compiled_code_finds_the_value_that_a_constant_has_now():

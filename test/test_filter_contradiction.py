@@ -179,12 +179,13 @@ def test_what_is_published_holds_both_hypotheses(mechanization):
     config, memory, r = a_state(mechanization)
     memory[r + Nav.TIME], memory[r + Nav.FIX_TIME], memory[r + Nav.VARIANCE_FACTOR] = 13.0, 10.0, 2.0
     memory[r + Hypothesis.SPREAD:r + Hypothesis.SPREAD + 4] = 4.0, 6.0, 0.0, 1.0
+    memory[r + Hypothesis.SPREAD_VARIANCE] = 2.0  # to 2 m, and its probability is a half
     row = memory[r:r + int(memory[Head.WIDTH])]
-    # then the square of that is added, 9 m by now
+    # then the square of that is added, 9 m by now, and what the position is not known by the other
     added = published_covariance(row, config.layout) - 2.0 * covariance(row, config.layout)
     expected = np.zeros_like(added)
     where = [0, 1, config.layout.index('v_e')]
-    expected[np.ix_(where, where)] = np.outer([4.0, 9.0, 1.0], [4.0, 9.0, 1.0])
+    expected[np.ix_(where, where)] = np.outer([4.0, 9.0, 1.0], [4.0, 9.0, 1.0]) + np.diag([2.0, 2.0, 0.0])
     np.testing.assert_allclose(added, expected, atol=1e-12)
     # and ROS is told the same
     out, enu = np.zeros(SIZE), np.zeros(9)

@@ -40,6 +40,7 @@ from .trust.extrapolation import Extrapolation
 from .trust.force_noise import learn_from_velocity
 from .trust.hypotheses import Hypothesis
 from .trust.line import FEWEST_ON_LINE, Line
+from .trust.offset import Offset
 from .trust.receiver import CLAIM_CHANGE, Receiver, excess_scatter
 from .trust.scale import Scale
 from .trust.standstill import Standing
@@ -54,9 +55,9 @@ Bank = HEAD.place(
     SEARCHED=1,  # 1: earlier values of BEGUN have been tried (`_search_begin`)
     SCATTER=1)  # realised over claimed variance of the fixes when the second filter began, 1 at least
 
-#: s before the first fix that did not fit: earlier times since which the fixes may be wrong, tried by `_search_begin`.
-#: Fixes that drift away fit at first
-EARLIER = (2.0, 4.0, 8.0)
+#: s before the first fix that did not fit: times since which the fixes, or the IMU, may be wrong, tried by
+#: `_search_begin`. Fixes that drift away fit at first
+EARLIER = (0.0, 2.0, 4.0, 8.0)
 #: nats: earlier times are tried only for a second filter that is behind by less (a trial takes 1 ms for 8 s at 100 Hz);
 #: and a second filter that uses no fixes has to be better by more. Chosen, not measured
 SERIOUS_NATS = 4.0
@@ -64,7 +65,7 @@ SERIOUS_NATS = 4.0
 #: smaller variance. Chosen, not measured
 AGREED_SHARE = 0.1
 #: share of `gnss.recovery_time` for which a filter that starts anew from fixes refused for that long still has to fit
-#: them before it is as likely as the first filter (`hypotheses.restart_penalty`). Chosen, not measured
+#: them before it is as likely as the first filter (`_restart_penalty`). Chosen, not measured
 FITTING_SHARE = 0.5
 
 
@@ -106,13 +107,15 @@ def compare(memory):
             or memory[r + Standing.CONTRADICTED] == time and memory[r + Hypothesis.FIXES_WRONG] == 0.0):
         # fixes scatter that much more than was known when they did not fit, or the vehicle did not stand then: they are
         # no longer wrong or refused
-        memory[r + Hypothesis.FIXES_WRONG] = memory[r + Hypothesis.VARIANCE] = memory[Bank.OPEN] = 0.0
-        _publish_both(memory, other, r, 0.0)
+        memory[r + Hypothesis.FIXES_WRONG] = memory[r + Hypothesis.OFFSET + Offset.VARIANCE] = memory[Bank.OPEN] = 0.0
+        _publish_all(memory, other, r)
         return
     _start_without_imu(memory, other, r)
-    if other[r + Hypothesis.FIXES_WRONG] == 0.0 and other[r + Hypothesis.VARIANCE] != 0.0:
+    if memory[r + Hypothesis.FIXES_WRONG] != 0.0 and new_start.are_refused(other, r):
+        _start_second(memory, other, r, time - memory[Bank.WRONG_SINCE])  # they have changed once more
+    if other[r + Hypothesis.FIXES_WRONG] == 0.0 and other[r + Hypothesis.OFFSET + Offset.VARIANCE] != 0.0:
         # it takes fixes for right again: from now on it is judged by them, as the first
-        other[r + Hypothesis.VARIANCE] = 0.0
+        other[r + Hypothesis.OFFSET + Offset.VARIANCE] = 0.0
         other[r + Hypothesis.SCORE] = min(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE])
     extrapolated = extrapolation.are_found(memory, r) or extrapolation.are_found(other, r)
     if extrapolated:
@@ -129,32 +132,63 @@ def compare(memory):
     # a new start must not lose while it may still turn out to be right, without the IMU being wrong, too
     if (fixes_wrong and other[r + Hypothesis.CONSISTENT] != 0.0 and not extrapolated
             and other[r + Nav.USE_ALL_FIXES] <= memory[r + Nav.USE_ALL_FIXES]):
-        behind = hypotheses.restart_penalty(memory, time - memory[Bank.WRONG_SINCE])
+        behind = _restart_penalty(memory, r, time - memory[Bank.WRONG_SINCE])
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE] - behind)
     lead = hypotheses.score(memory, r) - hypotheses.score(other, r)
-    share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
     if not fixes_wrong and lead > hypotheses.LOST_NATS or _agree(memory, other, r):
-        memory[Bank.OPEN] = share = 0.0
-    _publish_both(memory, other, r, share)
+        memory[Bank.OPEN] = 0.0
+    _publish_all(memory, other, r)
 
 
 @njit(_nrt=False)
-def _publish_both(memory, other, r, share):
-    """Write to the state at r how far the published covariance reaches to the other filter, whose probability is
-    `share` (`Hypothesis.SPREAD`)."""
+def _imu_wrong_score(refusing, r):
+    """Nats: score of the statement that the fixes that the filter `refusing` leaves are right, and the IMU is wrong. An
+    extrapolated fix is none that is right."""
+    return hypotheses.score(refusing, r) + refusing[r + Hypothesis.IMU_NATS] - extrapolation.odds(refusing, r)
+
+
+@njit(_nrt=False)
+def _publish_all(memory, other, r):
+    """Write to the state at r how far the published covariance reaches (`Hypothesis.SPREAD`): to the other filter, or
+    to where the fixes are if the IMU is wrong, whichever is further."""
     spread = r + Hypothesis.SPREAD
-    mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
-    north, east = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
-    distance = math.hypot(north, east)
     for i in range(4):
         memory[spread + i] = 0.0
+    memory[r + Hypothesis.SPREAD_VARIANCE] = 0.0
+    if memory[Bank.OPEN] == 0.0:
+        return
+    refusing = memory if memory[r + Hypothesis.FIXES_WRONG] != 0.0 else other
+    its = math.exp(min(hypotheses.score(other, r) - hypotheses.score(memory, r), 100.0))
+    without_imu = 0.0
+    if refusing[r + Hypothesis.FIXES_WRONG] != 0.0:
+        without_imu = math.exp(min(_imu_wrong_score(refusing, r) - hypotheses.score(memory, r), 100.0))
+    total, at = 1.0 + its + without_imu, r + Hypothesis.IMU_OFFSET
+    sigma = math.sqrt(0.5 * (other[element_at(other, r, 0, 0)] + other[element_at(other, r, 1, 1)]))
+    _reach_to(memory, other, r, (0.0, 0.0, 0.0, 0.0), its / total, sigma)
+    off = refusing[at], refusing[at + 1], refusing[at + 2], refusing[at + 3]
+    _reach_to(memory, refusing, r, off, without_imu / total, math.sqrt(refusing[at + Offset.VARIANCE]))
+
+
+@njit(_nrt=False)
+def _reach_to(memory, other, r, off, share, sigma):
+    """Let the published covariance reach to where the vehicle is with the probability `share`, if it does not reach
+    further. `other` is then off by `off` (north, east, m; m/s), and that is known to `sigma`, m."""
+    spread = r + Hypothesis.SPREAD
+    mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
+    north = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE] - off[0]
+    east = (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE] - off[1]
+    distance = math.hypot(north, east)
+    memory[r + Hypothesis.SPREAD_VARIANCE] += share * sigma * sigma
     if share == 0.0 or distance == 0.0:
         return
-    sigma = math.sqrt(0.5 * (other[element_at(other, r, 0, 0)] + other[element_at(other, r, 1, 1)]))
-    times = hypotheses.reach(share, distance, sigma) / distance
+    far = hypotheses.reach(share, distance, sigma)
+    if far < math.hypot(memory[spread], memory[spread + 1]):
+        return
+    times = far / distance
     memory[spread], memory[spread + 1] = times * north, times * east
     times = min(times, 1.0)  # where both are at the same place, as far as is known, the other's velocity is enough
-    memory[spread + 2], memory[spread + 3] = times * (its[2] - mine[2]), times * (its[3] - mine[3])
+    memory[spread + 2] = times * (its[2] - mine[2] - off[2])
+    memory[spread + 3] = times * (its[3] - mine[3] - off[3])
 
 
 @njit(_nrt=False)
@@ -182,11 +216,29 @@ def _start_from_fixes(memory, other, r, interval):
     memory[Bank.OPEN], memory[Bank.WRONG_SINCE], memory[Bank.SEARCHED] = 1.0, begun, 1.0
     memory[r + Hypothesis.AGAINST_START] = 1.0
     memory[Bank.SCATTER] = excess_scatter(memory, r)
+    _start_second(memory, other, r, memory[r + Nav.FIX_TIME] - begun)
+
+
+@njit(_nrt=False)
+def _start_second(memory, other, r, since):
+    """The second filter starts anew from the latest fix, which the first has taken for wrong for `since` s."""
     k = state_before(other, other[r + Nav.FIX_TIME])
     return_to(other, k)
     _start_anew(other, k, hypotheses.START_ANEW)
-    behind = hypotheses.restart_penalty(memory, memory[r + Nav.FIX_TIME] - begun)
-    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
+    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - _restart_penalty(memory, r, since)
+
+
+@njit(_nrt=False)
+def _restart_penalty(memory, r, since):
+    """Nats by which a filter that starts anew from refused fixes is less likely at most than the first, which has taken
+    them for wrong for `since` s.
+
+    After `gnss.recovery_time` both are as likely, as a receiver is seldom off by the same for so long; and so they are
+    at once where the first does not use the IMU: its position is that of earlier fixes, as the other's is of later.
+    """
+    if imu_faults.is_wrong(memory, r, memory[r + Nav.FIX_TIME]):
+        return 0.0
+    return hypotheses.RESTART_PENALTY * (1.0 - since / memory[Head.RECOVERY_TIME])
 
 
 @njit(_nrt=False)
@@ -206,11 +258,11 @@ def _start_without_imu(memory, other, r):
     latest fix and does not use the IMU for a while, and the second assumes that the fixes are wrong."""
     swapped = memory[r + Hypothesis.FIXES_WRONG] == 0.0
     refusing, using = (other, memory) if swapped else (memory, other)
-    nats, time = refusing[r + Hypothesis.IMU_NATS], memory[r + Nav.FIX_TIME]
+    its, time = _imu_wrong_score(refusing, r), memory[r + Nav.FIX_TIME]
     # as long as the latest fix fits the filter that uses them, that goes on with the IMU: stamps may be off, too
     fits = using[r + Hypothesis.OUTLIER_NATS] < 0.0
-    if (refusing[r + Hypothesis.FIXES_WRONG] == 0.0 or nats < 0.0 or fits
-            or hypotheses.score(refusing, r) + nats < hypotheses.score(using, r)
+    if (refusing[r + Hypothesis.FIXES_WRONG] == 0.0 or its < hypotheses.score(refusing, r) or fits
+            or its < hypotheses.score(using, r)
             or imu_faults.is_wrong(using, r, time)):
         return
     k = state_before(refusing, time)
@@ -222,13 +274,14 @@ def _start_without_imu(memory, other, r):
     _copy(memory, other, state_before(memory, before - memory[Head.MAX_DELAY]))
     return_to(other, k)
     start = state_at(other, k)
-    for i in range(Hypothesis.IMU_OFFSET, Hypothesis.IMU_VARIANCE + 3):  # with what the latest fix has told
+    for i in range(Hypothesis.IMU_OFFSET, Hypothesis.IMU_OFFSET + Offset.SIZE):  # with what the latest fix has told
         other[start + i] = memory[r + i]
     other[start + Hypothesis.FIXES_WRONG] = 0.0
-    squared = 0.5 * (memory[r + Hypothesis.IMU_DRIFT] ** 2 + memory[r + Hypothesis.IMU_DRIFT + 1] ** 2)
+    velocity = r + Hypothesis.IMU_OFFSET + Offset.VELOCITY
+    squared = 0.5 * (memory[velocity] ** 2 + memory[velocity + 1] ** 2)
     learn_from_velocity(other, start, time, squared, time - memory[Bank.WRONG_SINCE])
     _start_anew(other, k, hypotheses.START_WITHOUT_IMU)
-    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] + nats
+    other[r + Hypothesis.SCORE] += its - hypotheses.score(other, r)
     _swap(memory, other)
     memory[Bank.SEARCHED] = 1.0
 
@@ -240,10 +293,13 @@ def _is_better(memory, other, r):
     A second filter that uses no fixes is published only where the first one follows fixes that drift away, as slowly as
     receivers do. A receiver with a constant error is followed: its error bounds that of the filter.
     """
-    ahead = hypotheses.score(other, r) - hypotheses.score(memory, r)
+    its, mine = hypotheses.score(other, r), hypotheses.score(memory, r)
     if other[r + Hypothesis.FIXES_WRONG] == 0.0:
-        return ahead > 0.0
-    return (ahead > SERIOUS_NATS and hypotheses.strayed_nats(other, r) < -SERIOUS_NATS
+        if memory[r + Hypothesis.FIXES_WRONG] != 0.0:
+            its = hypotheses.either(its, _imu_wrong_score(memory, r))  # the fixes are right in both
+        return its > mine
+    return (its - mine > SERIOUS_NATS and its > _imu_wrong_score(other, r)
+            and hypotheses.strayed_nats(other, r) < -SERIOUS_NATS
             and memory[r + Hypothesis.FIXES_WRONG] == 0.0
             and memory[r + Nav.USE_ALL_FIXES] == 0.0 and fix_drift.are_followed(memory, r)
             and hypotheses.is_drifting(other, r))
@@ -266,14 +322,26 @@ def _begin(memory, other, r, interval):
 
 @njit(_nrt=False)
 def _search_begin(memory, other, r, interval):
-    """Let `other` refuse the fixes from an earlier time on, where its score is better then."""
-    best, latest, since = hypotheses.score(other, r), memory[Bank.WRONG_SINCE], 0.0
+    """Let `other` refuse the fixes from an earlier time on, where what it says is more likely then.
+
+    Fixes and an IMU go wrong at times of their own, so that each statement has the score of its best time.
+    """
+    latest, since = memory[Bank.WRONG_SINCE], 0.0
+    fixes_wrong = imu_wrong = best = -math.inf
     for back in EARLIER:
         score = _refuse_since(memory, other, latest - back, interval)
-        if score > best:
-            best, since = score, back
-    if since != EARLIER[-1]:
-        _refuse_since(memory, other, latest - since, interval)
+        if score == -math.inf:
+            break
+        its = _imu_wrong_score(other, r)
+        fixes_wrong, imu_wrong = max(fixes_wrong, score), max(imu_wrong, its)
+        either = hypotheses.either(score, its)
+        if either > best:
+            best, since = either, back
+    if best == -math.inf:
+        return
+    _refuse_since(memory, other, latest - since, interval)
+    other[r + Hypothesis.SCORE] += fixes_wrong - hypotheses.score(other, r)
+    other[r + Hypothesis.IMU_NATS] = imu_wrong - fixes_wrong
     memory[Bank.WRONG_SINCE] = latest - since
 
 

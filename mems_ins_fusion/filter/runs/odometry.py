@@ -27,7 +27,7 @@ from ..memory import (
     velocity_state,
 )
 from ..prediction import UNKNOWN_TILT_SIGMA
-from ..trust.hypotheses import spread
+from ..trust.hypotheses import Hypothesis, spread
 from ..trust.white_noise import density
 
 #: first indices in the vector that `odometry` fills, and its size
@@ -74,8 +74,10 @@ def added_covariance(row, r, i, j):
     (`gnss.lever_arm_sigma`), and the difference to the second filter (trust/hypotheses.py).
     """
     apart = spread(row, r)
-    lasting = row[r + Nav.LASTING] + row[r + Nav.ARM_VARIANCE] if i == j and i < 2 else 0.0
-    return lasting + apart[i] * apart[j]
+    own = 0.0
+    if i == j and i < 2:
+        own = row[r + Nav.LASTING] + row[r + Nav.ARM_VARIANCE] + row[r + Hypothesis.SPREAD_VARIANCE]
+    return own + apart[i] * apart[j]
 
 
 @njit(_nrt=False)

@@ -19,7 +19,8 @@ from .odometry import added_covariance, estimated, navigation_solution
 #: columns kept in addition to solution and covariance: to convert angles to metres and P to the published covariance,
 #: and the lag of a receiver that smooths
 _SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.LASTING, Nav.ARM_VARIANCE, Nav.FIX_TIME,
-           *range(Hypothesis.SPREAD, Hypothesis.SPREAD + 4), Lag.UNFOLLOWED, Lag.UNFOLLOWED + 1)
+           *range(Hypothesis.SPREAD, Hypothesis.SPREAD + 4), Hypothesis.SPREAD_VARIANCE, Lag.UNFOLLOWED,
+           Lag.UNFOLLOWED + 1)
 
 
 @dataclass(frozen=True)

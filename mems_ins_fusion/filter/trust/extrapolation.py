@@ -120,6 +120,13 @@ def are_found(mem, r):
 
 
 @njit(_nrt=False)
+def odds(mem, r):
+    """Nats by which the latest fixes are more likely extrapolated than measured, with the rate at which receivers fail;
+    0 where they are not."""
+    return max(mem[r + Extrapolation.NATS] + math.log(hypotheses.FAULT_RATE), 0.0)
+
+
+@njit(_nrt=False)
 def note_move(mem, r, before, after):
     """Add the correction of the state at r by a fix on the line. before, after: `position_and_velocity`."""
     if mem[r + Extrapolation.NATS] > 0.0:

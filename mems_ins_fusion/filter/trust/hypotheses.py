@@ -4,8 +4,8 @@ A copy of the filter's memory is a second filter. The logarithm of the likelihoo
 the filter says of them, is its *score*:
 
 * *They are right*, but for single ones that may be anywhere. How this filter uses a fix stands in `receiver.py`.
-* *They are wrong since t0*: the receiver is off by an offset that goes on as it did, with little acceleration, or jumps
-  to anywhere (multipath, extrapolation, a wrong integer). This filter uses none of them until one is right again.
+* *They are wrong since t0*: the receiver is off by an offset that stays, or goes on to drift as it did, or jumps to
+  anywhere (multipath, extrapolation, a wrong integer). This filter uses none of them until one is right again.
 * *They are right, and the IMU is wrong since t0*: the filter that uses no fixes is off by an offset that changes as a
   vehicle accelerates. This needs no third filter: the likelihood of the fixes is that of a Kalman filter of the offset
   and its drift beside the second one (`IMU_NATS`). Where it is the most likely, the published filter starts anew from
@@ -14,8 +14,8 @@ the filter says of them, is its *score*:
 The second is begun where a fix is so unlikely that the receiver may have failed, and ends where it has lost or both
 agree (`bank.py`). Where several fixes have been refused in a row, the published filter takes them for wrong, and the
 second one starts anew from them. What is published is the filter with the better score; one that uses no fixes only
-where it has refused them, or where they drift away (`fix_drift.py`). Its covariance is that of both: it reaches to
-where the other filter is, as long as that may be right. (D. T. Magill, "Optimal adaptive estimation of sampled
+where it has refused them, or where they drift away (`fix_drift.py`). Its covariance is that of all three: it reaches to
+where the vehicle is by each, as long as that may be right. (D. T. Magill, "Optimal adaptive estimation of sampled
 stochastic processes", IEEE Trans. Automatic Control 10, 1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting
 multiple model algorithm for systems with Markovian switching coefficients", the same 33, 1988.)
 """
@@ -25,9 +25,10 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..measurements import acceleration
 from ..measurements.base import UNDECLARED_OFFSET
-from ..memory import NAV, ROW, Event, Head, Nav, Verdict, element_at, velocity_state, velocity_variance
+from ..memory import NAV, ROW, Event, Nav, Verdict, element_at, velocity_state, velocity_variance
+from . import offset
+from .offset import Offset, Walk
 from .scale import OUTLIER_SHARE
 
 #: of a state
@@ -37,18 +38,16 @@ Hypothesis = ROW.place(
     FURTHER_SCORE=1,  # the same of all fixes of further receivers
     OUTLIER_NATS=1,  # nats, by which the latest fix is more likely as an outlier, which may be anywhere
     FIXES_WRONG=1,  # 1: its hypothesis is that the fixes since some time are wrong; then
-    OFFSET=2,  # m, north and east, predicted minus measured: by what they are off,
-    DRIFT=2,  # m/s, by what that changes,
-    VARIANCE=3,  # of an offset, m^2, with its drift, m^2/s, and of that, m^2/s^2, the same for both axes; 0: none yet,
+    OFFSET=Offset.SIZE,  # predicted minus measured: by what they are off (offset.py); of variance 0: not known yet,
+    STAYS=4,  # m, m^2: north, east, variance of that if it does not drift; and the probability that it does not,
     ENDED=1,  # how much more likely it is that they have been right again for some time than that they still are wrong,
     IMU_NATS=1,  # nats, by which it is more likely that they are right, and the IMU is wrong since that time; then
-    IMU_OFFSET=2,  # m, north and east, by what this filter is off,
-    IMU_DRIFT=2,  # m/s, by what that changes,
-    IMU_VARIANCE=3,  # and their variances, as those of OFFSET and DRIFT
+    IMU_OFFSET=Offset.SIZE,  # by what this filter is off (offset.py)
     AGAINST_START=1,  # 1: it is compared with a filter that has started anew from these fixes,
     START_DUE=1,  # START_ANEW, START_WITHOUT_IMU, or 0: the next fix is used as any other,
     CONSISTENT=1,  # 1: it has refused no row of fixes since that start, or since it became the second filter
-    SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
+    SPREAD=4,  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says,
+    SPREAD_VARIANCE=1)  # m^2, on each axis: variance of where the vehicle is by the others, times their probability
 
 #: position and velocity start anew from the next fix, without or with the IMU known as wrong
 START_ANEW, START_WITHOUT_IMU = 1.0, 2.0
@@ -66,8 +65,17 @@ DRIFT_SIGMA = 3.0
 STRAYED_SIGMA = 7.0
 #: sigmas beyond which wrong fixes significantly drift, and are off across the velocity
 SIGNIFICANT = 3.0
-#: m^2/s and m^2/s^3, random walks of offset and drift: those of a receiver's filter, not of a vehicle that manoeuvres
-OFFSET_WALK, DRIFT_WALK = 0.002, 0.002
+#: how the offset of wrong fixes changes, m^2/s and m^2/s^3: as that of a receiver's filter, not of a vehicle that
+#: manoeuvres
+RECEIVER_WALK = Walk(velocity=0.002, acceleration=0.002)
+#: 1/s: random walk of an offset that stays where it is, of the variance with which fixes scatter: multipath of a
+#: receiver of 1.5 m changes by 2 m in 10 s, a wrong integer not at all. Chosen, not measured
+STAYS_WALK = 0.2
+#: probability from which on an offset stays: where it begins to drift, that has nothing to do with how it did before
+STAYS_CERTAIN = 0.9
+#: how the offset of a filter whose IMU is wrong changes: it is off by 1 m/s^2, as with a tilt of 6 deg, or by what
+#: vehicles accelerate and turn (0.5 to 2 m/s^2, for 5 to 20 s), and that is not quite constant
+IMU_WALK = Walk(velocity=0.0, acceleration=0.1, sigma=1.0, correlation_time=10.0)
 #: nats, prior: an IMU fails once in a hundred hours (loose mounts, kerbs, drivers that mix up axes)
 IMU_FAULT_PRIOR = math.log(1.0 / 3.6e5)
 #: nats: a filter that starts anew from refused fixes is less likely by this at first. It says that the fixes before
@@ -112,7 +120,7 @@ def score_fix(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
         mem[r + Hypothesis.SCORE] += counts * math.log(likelihood)
         return True
     # the first of them is wrong: the hypothesis begins with it
-    ended = 1.0 - math.exp(-FAULT_END_RATE * interval) if mem[r + Hypothesis.VARIANCE] != 0.0 else 0.0
+    ended = 1.0 - math.exp(-FAULT_END_RATE * interval) if mem[r + Hypothesis.OFFSET + Offset.VARIANCE] != 0.0 else 0.0
     scatter = factor * r_nn
     if mem[r + Hypothesis.AGAINST_START] == 0.0:
         scatter, n, e = scatter + 0.5 * (n * n + e * e), 0.0, 0.0
@@ -150,11 +158,9 @@ def score(row, r):
 
 
 @njit(_nrt=False)
-def restart_penalty(mem, since):
-    """Nats by which a filter that starts anew from refused fixes is less likely at most than one that takes them for
-    wrong, `since` s after these began: after `gnss.recovery_time` both are as likely, as a receiver is seldom off by
-    the same for so long."""
-    return RESTART_PENALTY * (1.0 - since / mem[Head.RECOVERY_TIME])
+def either(first, second):
+    """Nats: score of the statement that one of two is true, from their scores."""
+    return max(first, second) + math.log1p(math.exp(-abs(first - second)))
 
 
 @njit(_nrt=False)
@@ -173,80 +179,56 @@ def reach(share, distance, sigma):
 @njit(_nrt=False)
 def _density_if_wrong(mem, r, z_n, z_e, r_nn, late_n, late_e, anywhere, interval):
     """Density, 1/m^2, of a fix that is off by z of a wrong receiver, from which its offset is learned. r_nn: m^2, of
-    the scatter about that; late: m, one sigma of what an undeclared time offset adds, along the velocity."""
-    at = r + Hypothesis.OFFSET
-    jumped = mem[r + Hypothesis.VARIANCE] == 0.0
-    density = anywhere
-    if not jumped:
-        _predict_offset(mem, at, interval, OFFSET_WALK, DRIFT_WALK)
-        jumps = max(1.0 - math.exp(-FAULT_END_RATE * interval), OUTLIER_SHARE)
-        goes_on = (1.0 - jumps) * _offset_density(mem, at, z_n, z_e, r_nn, late_n, late_e)
-        density = goes_on + jumps * anywhere
-        jumped = goes_on < jumps * anywhere
-        if not jumped:
-            _correct_offset(mem, at, z_n, z_e, r_nn)
-    if jumped:
-        _set_offset(mem, at, z_n, z_e, r_nn, DRIFT_SIGMA**2)
-    return density
+    the scatter about that; late: m, one sigma of what an undeclared time offset adds, along the velocity.
+
+    Since the fix before it, the offset has stayed, has drifted evenly, or has jumped anywhere.
+    """
+    at, stays = r + Hypothesis.OFFSET, r + Hypothesis.STAYS
+    goes_on = jumped = 0.0
+    if mem[at + Offset.VARIANCE] != 0.0:
+        offset.predict(mem, at, interval, RECEIVER_WALK)
+        mem[stays + 2] += STAYS_WALK * interval * r_nn
+        changes = 1.0 - math.exp(-FAULT_END_RATE * interval)
+        jumps = max(changes, OUTLIER_SHARE)
+        share = mem[stays + 3] + changes * (0.5 - mem[stays + 3])
+        s, s_stays = mem[at + Offset.VARIANCE] + r_nn, mem[stays + 2] + r_nn
+        if_drifts = (1.0 - share) * offset.density(z_n - mem[at], z_e - mem[at + 1], s, late_n, late_e)
+        if_stays = share * offset.density(z_n - mem[stays], z_e - mem[stays + 1], s_stays, late_n, late_e)
+        goes_on, jumped = (1.0 - jumps) * (if_drifts + if_stays), jumps * anywhere
+    if goes_on <= jumped:
+        offset.begin(mem, at, z_n, z_e, r_nn, DRIFT_SIGMA**2, 0.0)
+        mem[stays], mem[stays + 1], mem[stays + 2], mem[stays + 3] = z_n, z_e, r_nn, 0.5
+        return goes_on + jumped if goes_on != 0.0 else anywhere
+    misfits = (z_n - mem[at]) ** 2 + (z_e - mem[at + 1]) ** 2 > SIGNIFICANT**2 * s
+    offset.correct(mem, at, z_n, z_e, r_nn)
+    gain = mem[stays + 2] / s_stays
+    mem[stays] += gain * (z_n - mem[stays])
+    mem[stays + 1] += gain * (z_e - mem[stays + 1])
+    mem[stays + 2] = gain * r_nn
+    mem[stays + 3] = if_stays / (if_drifts + if_stays)
+    if misfits and mem[stays + 3] > STAYS_CERTAIN:
+        offset.begin(mem, at, mem[stays], mem[stays + 1], mem[stays + 2], DRIFT_SIGMA**2, 0.0)
+    return goes_on + jumped
 
 
 @njit(_nrt=False)
 def _density_if_imu_wrong(mem, r, z_n, z_e, r_nn, late_n, late_e, anywhere, interval):
     """Density, 1/m^2, of the same fix where it is right and the IMU is wrong, from which the filter's error is learned.
 
-    That begins at none, or with the first fix where that does not fit, and changes by what a vehicle accelerates. To be
-    called before `_density_if_wrong`, which marks the first fix.
+    That begins at none, or with the first fix where that does not fit. To be called before `_density_if_wrong`, which
+    marks the first fix.
     """
     at = r + Hypothesis.IMU_OFFSET
-    _predict_offset(mem, at, interval, 0.0, acceleration.DENSITY)
-    fits = (1.0 - OUTLIER_SHARE) * _offset_density(mem, at, z_n, z_e, r_nn, late_n, late_e)
+    offset.predict(mem, at, interval, IMU_WALK)
+    density = offset.density(z_n - mem[at], z_e - mem[at + 1], mem[at + Offset.VARIANCE] + r_nn, late_n, late_e)
+    fits = (1.0 - OUTLIER_SHARE) * density
     outlier = OUTLIER_SHARE * anywhere
-    if mem[r + Hypothesis.VARIANCE] == 0.0 and fits < anywhere:  # it has been wrong for longer
-        _set_offset(mem, at, z_n, z_e, r_nn, DRIFT_SIGMA**2)
+    if mem[r + Hypothesis.OFFSET + Offset.VARIANCE] == 0.0 and fits < anywhere:  # it has been wrong for longer
+        offset.begin(mem, at, z_n, z_e, r_nn, DRIFT_SIGMA**2, IMU_WALK.sigma)
         return anywhere
     if fits > outlier:
-        _correct_offset(mem, at, z_n, z_e, r_nn)
+        offset.correct(mem, at, z_n, z_e, r_nn)
     return fits + outlier
-
-
-@njit(_nrt=False)
-def _set_offset(mem, at, north, east, variance, drift_variance):
-    """An offset, m, with these variances, m^2 and m^2/s^2, and a drift of none, to the seven columns at `at`."""
-    mem[at], mem[at + 1], mem[at + 2], mem[at + 3] = north, east, 0.0, 0.0
-    mem[at + 4], mem[at + 5], mem[at + 6] = variance, 0.0, drift_variance
-
-
-@njit(_nrt=False)
-def _predict_offset(mem, at, interval, offset_walk, drift_walk):
-    """Predict the offset and its drift at `at` by `interval`, s; walk: of both, m^2/s and m^2/s^3."""
-    mem[at + 4] += interval * (offset_walk + 2.0 * mem[at + 5] + interval * (mem[at + 6] + drift_walk * interval / 3.0))
-    mem[at + 5] += interval * (mem[at + 6] + 0.5 * drift_walk * interval)
-    mem[at + 6] += drift_walk * interval
-    mem[at] += interval * mem[at + 2]
-    mem[at + 1] += interval * mem[at + 3]
-
-
-@njit(_nrt=False)
-def _offset_density(mem, at, z_n, z_e, r_nn, late_n, late_e):
-    """Density, 1/m^2, of a fix that is off by z where it is off by the offset at `at`."""
-    s, n, e = mem[at + 4] + r_nn, z_n - mem[at], z_e - mem[at + 1]
-    along = s + late_n * late_n + late_e * late_e
-    nis = (n * n + e * e - (late_n * n + late_e * e) ** 2 / along) / s
-    return math.exp(-0.5 * min(nis, 1000.0)) / (2.0 * math.pi * math.sqrt(s * along))
-
-
-@njit(_nrt=False)
-def _correct_offset(mem, at, z_n, z_e, r_nn):
-    """Learn the offset at `at` and its drift from a fix that is off by z."""
-    s, n, e = mem[at + 4] + r_nn, z_n - mem[at], z_e - mem[at + 1]
-    gain, drift_gain = mem[at + 4] / s, mem[at + 5] / s
-    mem[at] += gain * n
-    mem[at + 1] += gain * e
-    mem[at + 2] += drift_gain * n
-    mem[at + 3] += drift_gain * e
-    mem[at + 6] -= drift_gain * mem[at + 5]
-    mem[at + 5] *= 1.0 - gain
-    mem[at + 4] *= 1.0 - gain
 
 
 @njit(_nrt=False)
@@ -254,10 +236,10 @@ def begin_refusing(mem, r, interval):
     """The filter with the state at r says from now on that the fixes are wrong. interval: s between fixes."""
     mem[r + Hypothesis.FIXES_WRONG] = 1.0
     mem[r + Hypothesis.AGAINST_START] = mem[r + Hypothesis.ENDED] = mem[r + Hypothesis.START_DUE] = 0.0
-    _set_offset(mem, r + Hypothesis.OFFSET, 0.0, 0.0, 0.0, 0.0)
+    offset.begin(mem, r + Hypothesis.OFFSET, 0.0, 0.0, 0.0, 0.0, 0.0)
     mem[r + Hypothesis.IMU_NATS] = IMU_FAULT_PRIOR - math.log(FAULT_RATE)
     position, velocity = mem[element_at(mem, r, 0, 0)], 0.5 * velocity_variance(mem, r)
-    _set_offset(mem, r + Hypothesis.IMU_OFFSET, 0.0, 0.0, position, velocity)
+    offset.begin(mem, r + Hypothesis.IMU_OFFSET, 0.0, 0.0, position, velocity, IMU_WALK.sigma)
     mem[r + Hypothesis.SCORE] += math.log(FAULT_RATE * min(max(interval, SHORTEST_CORRELATION), LONGEST_INTERVAL))
 
 
@@ -266,15 +248,16 @@ def velocity_if_imu_wrong(mem, r):
     """North and east velocity, m/s, and their variance, m^2/s^2, as the fixes that the filter with the state at r has
     not used show it where they are right and the IMU is wrong."""
     _, _, v_n, v_e = position_and_velocity(mem, r)
-    return (v_n - mem[r + Hypothesis.IMU_DRIFT], v_e - mem[r + Hypothesis.IMU_DRIFT + 1],
-            mem[r + Hypothesis.IMU_VARIANCE + 2])
+    at = r + Hypothesis.IMU_OFFSET
+    return (v_n - mem[at + Offset.VELOCITY], v_e - mem[at + Offset.VELOCITY + 1], mem[at + Offset.VELOCITY_VARIANCE])
 
 
 @njit(_nrt=False)
 def strayed_nats(mem, r):
     """Nats by which it is more likely that the filter with the state at r has strayed, as the IMU was wrong, than that
     the fixes that it takes for wrong drift as they do: both explain offset and drift alike, but for their priors."""
-    drift = mem[r + Hypothesis.DRIFT] ** 2 + mem[r + Hypothesis.DRIFT + 1] ** 2
+    at = r + Hypothesis.OFFSET + Offset.VELOCITY
+    drift = mem[at] ** 2 + mem[at + 1] ** 2
     ratio = (DRIFT_SIGMA / STRAYED_SIGMA) ** 2
     return IMU_FAULT_PRIOR - math.log(FAULT_RATE) + math.log(ratio) + 0.5 * drift / DRIFT_SIGMA**2 * (1.0 - ratio)
 
@@ -283,12 +266,12 @@ def strayed_nats(mem, r):
 def is_drifting(mem, r):
     """Whether the fixes that the filter with the state at r takes for wrong certainly drift away: not only along the
     velocity, as fixes do that are stamped later and later."""
-    offset_n, offset_e = mem[r + Hypothesis.OFFSET], mem[r + Hypothesis.OFFSET + 1]
-    drift = math.hypot(mem[r + Hypothesis.DRIFT], mem[r + Hypothesis.DRIFT + 1])
+    at = r + Hypothesis.OFFSET
+    drift = math.hypot(mem[at + Offset.VELOCITY], mem[at + Offset.VELOCITY + 1])
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
-    beside = abs(offset_n * mem[r + Nav.V_E] - offset_e * mem[r + Nav.V_N])  # times the speed
-    return (drift > SIGNIFICANT * math.sqrt(mem[r + Hypothesis.VARIANCE + 2])
-            and beside > SIGNIFICANT * math.sqrt(mem[r + Hypothesis.VARIANCE]) * speed)
+    beside = abs(mem[at] * mem[r + Nav.V_E] - mem[at + 1] * mem[r + Nav.V_N])  # times the speed
+    return (drift > SIGNIFICANT * math.sqrt(mem[at + Offset.VELOCITY_VARIANCE])
+            and beside > SIGNIFICANT * math.sqrt(mem[at + Offset.VARIANCE]) * speed)
 
 
 @njit(_nrt=False)
@@ -329,10 +312,14 @@ def position_and_velocity(mem, r):
 def move_offset(mem, r, before):
     """A correction that is not a fix has moved the state at r from where `position_and_velocity` had it `before`: by
     that, wrong fixes are off from another position and velocity."""
-    if mem[r + Hypothesis.FIXES_WRONG] != 0.0 and mem[r + Hypothesis.VARIANCE] != 0.0:
+    if mem[r + Hypothesis.FIXES_WRONG] != 0.0 and mem[r + Hypothesis.OFFSET + Offset.VARIANCE] != 0.0:
         after = position_and_velocity(mem, r)
+        for i in range(2):
+            mem[r + Hypothesis.STAYS + i] -= mem[r + Hypothesis.OFFSET + i]
         add_move(mem, r, r + Hypothesis.OFFSET, before, after)
         add_move(mem, r, r + Hypothesis.IMU_OFFSET, before, after)
+        for i in range(2):
+            mem[r + Hypothesis.STAYS + i] += mem[r + Hypothesis.OFFSET + i]
 
 
 @njit(_nrt=False)
