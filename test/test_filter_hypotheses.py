@@ -230,6 +230,24 @@ def test_fixes_that_jump_and_come_back_are_left_and_the_ellipse_reaches_to_them(
     assert (math.sqrt(chi2.ppf(0.95, 2)) * sigma[disputed, 1] > 0.8 * 40.0).all()
 
 
+def test_what_each_statement_does_not_know_of_the_position_is_published_on_all_sides():
+    # given a filter that takes fixes for wrong, as they have jumped by 40 m, and one that has started anew from them
+    drive = Drive()
+    drive.position[drive.time > 30.0, 1] += 40.0
+    drive.time, drive.samples = drive.time[:38], drive.samples[:1876]  # the last fix is of the last sample
+    drive.position = drive.position[:38]
+    _, memory, _, _, _ = drive.through('planar')
+    other, r = memory[int(memory[Bank.SIZE]):], state_at(memory, int(memory[Head.SAMPLES]))
+    assert memory[Bank.OPEN] == 1.0 and memory[r + Hypothesis.FIXES_WRONG] == 1.0
+    # then the variance of where the vehicle is by the other one, and by a wrong IMU, is added by their probability
+    scores = np.array([memory[r + Hypothesis.SCORE], other[r + Hypothesis.SCORE],
+                       memory[r + Hypothesis.SCORE] + memory[r + Hypothesis.IMU_NATS]])
+    share = np.exp(scores - scores.max()) / np.exp(scores - scores.max()).sum()
+    variance = [0.0, 0.5 * (other[element_at(other, r, 0, 0)] + other[element_at(other, r, 1, 1)]),
+                memory[r + Hypothesis.IMU_OFFSET + Offset.VARIANCE]]
+    assert share[1] > 0.01 and memory[r + Hypothesis.SPREAD_VARIANCE] == pytest.approx(share @ variance, rel=0.1)
+
+
 @BOTH
 @pytest.mark.parametrize('rate, noise', [(1.0, 0.5), (10.0, 1.5)])
 def test_an_accelerometer_that_is_off_is_left_and_not_the_fixes(mechanization, rate, noise):
