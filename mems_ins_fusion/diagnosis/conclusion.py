@@ -99,9 +99,12 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
                    if _fixes_while_running(option, trials) >= RUNS * ran]
     trials.tell(MEASURING, 'measuring errors')
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
+    tried = _as_measured(corrections, trials)
+    # all that was compared on the parts of the data that decide now: by the search, by a direct look, and here
+    candidates = len(known.findings) + len(corrections[-1].settings) + len(tried) - 1
     correction, after, verdict, judged_on, against = _chosen([
-        (tried, judged(before, tried.errors, tried.correction.effects))
-        for tried in _as_measured(corrections, trials)], before, trials.without_standstills)
+        (one, judged(before, one.errors, one.correction.effects, candidates)) for one in tried],
+        before, trials.without_standstills)
     comparison = compared(before, judged_on.errors)
     if correction.values != given:  # one filter may start later than the other
         before, after = in_common(before, after), in_common(after, before)

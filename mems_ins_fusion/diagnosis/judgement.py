@@ -48,9 +48,10 @@ def changes(before: Measured, after: Measured) -> list[Change]:
     return found
 
 
-def judged(before: Measured, after: Measured, effects: bool = False) -> Verdict:
-    """Verdict on a change. It is not `better` if it does harm: to the ellipses, or to the errors of a single drive."""
-    verdict = decide(changes(before, after))
+def judged(before: Measured, after: Measured, effects: bool = False, candidates: int = 1) -> Verdict:
+    """Verdict on a change. It is not `better` if it does harm: to the ellipses, or to the errors of a single drive.
+    candidates: as for `decide`."""
+    verdict = decide(changes(before, after), candidates)
     against = harm(compared(before, after), effects) if verdict.answer == BETTER else ''
     return replace(verdict, answer=CANNOT_TELL, why=(against,)) if against else verdict
 
