@@ -63,6 +63,19 @@ def test_nothing_that_changed_is_called_better_in_one_of_twenty_drives_at_most()
     assert BETTER in [decide(drive(rng, 0.4)).answer for _ in range(3)]
 
 
+def test_the_best_of_several_that_are_no_better_is_called_better_in_one_of_twenty_drives_at_most():
+    # given eight filters in each drive whose errors are on the average those of the one before
+    rng, called, alone, drives = np.random.default_rng(7), 0, 0, 200
+    for _ in range(drives):
+        each = [drive(rng, np.exp(-0.045)) for _ in range(8)]
+        called += any(decide(changes, len(each)).answer == BETTER for changes in each)
+        alone += any(decide(changes).answer == BETTER for changes in each)
+    # then the one that is chosen for being best looks better by chance far more often than the one that is tried alone
+    assert called <= 0.05 * drives + 4 * np.sqrt(0.05 * 0.95 * drives) and called < 0.5 * alone
+    # and what is better is found among eight, too
+    assert BETTER in [decide(drive(rng, 0.4), 8).answer for _ in range(3)]
+
+
 def test_better_is_for_certain_and_worse_in_nothing():
     rng = np.random.default_rng(2)
     good, bad = decide(drive(rng, 0.3)), decide(drive(rng, 3.0))
@@ -262,6 +275,15 @@ def test_a_diagnosis_is_green_only_where_a_gain_is_proven_or_nothing_is_wrong():
     # a changed file without a proof, innovations that are not right, sigmas that are too small
     assert grade(changed=True) == grade(lacking=True) == grade(better=True, changed=True, trust=untrue) == 'warning'
     assert grade(trust=untrue) == 'bad'
+
+
+def test_what_was_found_is_told_in_the_order_of_what_it_gains():
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_answer import _left
+
+    found = [SimpleNamespace(saves=saves) for saves in ((30.0, 5.0, 5.4), None, (30.0, 5.0, 2.0))]
+    assert [f.saves for f in sorted(found, key=_left)] == [(30.0, 5.0, 2.0), None, (30.0, 5.0, 5.4)]
 
 
 @pytest.mark.parametrize(('saves', 'said'), [
