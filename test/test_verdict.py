@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.diagnosis.estimate import Estimate
-from mems_ins_fusion.evaluation.intervals import interval_of_share, of_mean, p_of_so_few, paired
+from mems_ins_fusion.evaluation.intervals import effective_number, interval_of_share, of_mean, p_of_so_few, paired
 from mems_ins_fusion.evaluation.verdict import (
     BETTER,
     CANNOT_TELL,
@@ -63,17 +63,36 @@ def test_nothing_that_changed_is_called_better_in_one_of_twenty_drives_at_most()
     assert BETTER in [decide(drive(rng, 0.4)).answer for _ in range(3)]
 
 
-def test_the_best_of_several_that_are_no_better_is_called_better_in_one_of_twenty_drives_at_most():
-    # given eight filters in each drive whose errors are on the average those of the one before
+@pytest.mark.parametrize('alike', [0.0, 0.9])
+def test_the_best_of_several_that_are_no_better_is_called_better_in_one_of_twenty_drives_at_most(alike):
+    # given eight filters in each drive whose errors are on the average those of the one before, alike or not
     rng, called, alone, drives = np.random.default_rng(7), 0, 0, 200
     for _ in range(drives):
-        each = [drive(rng, np.exp(-0.045)) for _ in range(8)]
-        called += any(decide(changes, len(each)).answer == BETTER for changes in each)
-        alone += any(decide(changes).answer == BETTER for changes in each)
-    # then the one that is chosen for being best looks better by chance far more often than the one that is tried alone
-    assert called <= 0.05 * drives + 4 * np.sqrt(0.05 * 0.95 * drives) and called < 0.5 * alone
+        changes, number = [[] for _ in range(8)], 1.0
+        for duration, overlap in ((10.0, 1), (30.0, 1), (60.0, 2)):
+            before, shared = outages(rng, 17, overlap), rng.standard_normal(17)
+            own = np.sqrt(alike) * shared + np.sqrt(1 - alike) * rng.standard_normal((8, 17))
+            after = before * np.exp(0.3 * own - 0.045)
+            number = max(number, effective_number(after - before))
+            for one, errors in zip(changes, after):
+                one.append(change_in_outages(duration, before, errors, 17 // overlap))
+        called += any(decide(each, number).answer == BETTER for each in changes)
+        alone += any(decide(each).answer == BETTER for each in changes)
+    # then the best of them is seldom called better, and more often where each is judged as if it were the only one
+    assert called <= 0.05 * drives and called < 0.5 * alone
     # and what is better is found among eight, too
-    assert BETTER in [decide(drive(rng, 0.4), 8).answer for _ in range(3)]
+    assert BETTER in [decide(drive(rng, 0.4), 8.0).answer for _ in range(3)]
+
+
+def test_tests_that_go_together_count_as_fewer():
+    rng = np.random.default_rng(8)
+    one, four = rng.standard_normal(4000), rng.standard_normal((4, 4000))
+    assert effective_number(four) == pytest.approx(4.0, abs=0.01)
+    assert effective_number(np.array([one, 2.0 * one, -one])) == pytest.approx(1.0)
+    # of a correlation of 0.6 each, 1 + 3 (1 - 0.36)
+    assert effective_number(np.sqrt(0.6) * one + np.sqrt(0.4) * four) == pytest.approx(2.92, abs=0.1)
+    # what changes nothing is no test
+    assert effective_number(np.array([one, 0.0 * one])) == effective_number(np.zeros((0, 5))) == 1.0
 
 
 def test_better_is_for_certain_and_worse_in_nothing():

@@ -138,16 +138,17 @@ class Verdict:
                    default=None)
 
 
-def decide(changes: Iterable[Change], candidates: int = 1) -> Verdict:
+def decide(changes: Iterable[Change], candidates: float = 1.0) -> Verdict:
     """BETTER if some error is certainly smaller, by an amount that matters, and none is certainly larger; WORSE in the
     opposite case; SAME if the intervals exclude any difference that matters; else CANNOT_TELL.
 
-    candidates: number of filters that were compared with the one before on these data, of which the new one was chosen.
-    The best of several looks better than it is, so the intervals of all of them have to hold together (Bonferroni).
+    candidates: number of independent filters of which this one was chosen as the best on these data
+    (`intervals.effective_number`). The best of several looks better than it is, so the intervals of all of them have to
+    hold together (Bonferroni).
     """
     changes = tuple(changes)
     tested = [c for c in changes if c.difference is not None]
-    level = 1 - (1 - LEVEL) / max(len(tested) * candidates, 1)
+    level = 1 - (1 - LEVEL) / (max(len(tested), 1) * candidates)
     signs = {c.sign(level) for c in tested}
     if signs >= {-1, 1} or not tested:
         answer = CANNOT_TELL
