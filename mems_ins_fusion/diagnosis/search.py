@@ -310,8 +310,8 @@ def without_undetermined(known: Known, trials: TrialRuns) -> Known:
 
 
 def with_offset_known_better(known: Known, trials: TrialRuns) -> Known:
-    """`known` with another value of gnss.time_offset, where the params file states one with its sigma and the
-    recordings tell it with a plainly smaller one.
+    """`known` with another value of gnss.time_offset, where the params file states one, not zero, with its sigma and
+    the recordings tell it with a plainly smaller one.
 
     That there is an offset is not in question then, so what is left of it need not be different from zero for certain:
     by that, a stated value that is one or two sigma off would stay only because the search begins at it. It is set if
@@ -319,7 +319,7 @@ def with_offset_known_better(known: Known, trials: TrialRuns) -> Known:
     """
     stated = trials.origin.given['gnss.time_offset_sigma']
     effect = next((e for e in (*known.effects, *known.rejected) if e.name == 'gnss_time_offset'), None)
-    if not stated or effect is None:
+    if not stated or not trials.origin.given['gnss.time_offset'] or effect is None:
         return known
     unknowns = [*known.model.unknowns, *effect_unknowns(effect, {})]
     model = fit(known.problem, unknowns, np.append(known.model.x, 0.0), REFITTED)
