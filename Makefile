@@ -17,6 +17,8 @@ PYTEST += -o faulthandler_timeout=400 -o faulthandler_exit_on_timeout=true
 # tests start Python some hundred times: without bytecode each of them compiles the package's files, which takes 0.4 s
 unexport PYTHONDONTWRITEBYTECODE
 PIP := -m pip install --quiet --disable-pip-version-check
+# as a path: else Python takes this repository for the package where it starts in the folder that contains it
+PIP += --config-settings editable_mode=compat
 
 .PHONY: demo test test-oldest compiled compiled-oldest docs
 

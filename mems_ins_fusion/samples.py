@@ -19,13 +19,18 @@ def runs(mask: np.ndarray) -> np.ndarray:
 
 
 #: no input of a vehicle has a larger number, in any unit
-MOST = 1e9
+_MOST = 1e9
+
+
+def possible_numbers(values: np.ndarray) -> np.ndarray:
+    """`values`, NaN where an input of a vehicle cannot have such a number."""
+    return np.where(np.abs(values) <= _MOST, values, np.nan)
 
 
 def possible(values: np.ndarray) -> np.ndarray:
-    """(n,) which of `values`, (n,) or (n, k), have numbers that an input of a vehicle can have."""
-    within = np.abs(values) <= MOST  # false for NaN
-    return within if within.ndim == 1 else within.all(axis=1)
+    """(n,) which of `values`, (n,) or (n, k), have only numbers that an input of a vehicle can have."""
+    known = ~np.isnan(possible_numbers(values))
+    return known if known.ndim == 1 else known.all(axis=1)
 
 
 def in_time_order(stamp: np.ndarray, usable: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ from mems_ins_fusion.diagnosis.folds import parts
 from mems_ins_fusion.diagnosis.held_out import HeldOut, certainly_better
 from mems_ins_fusion.diagnosis.judgement import (
     ONE_SIDED,
+    candidates,
     compared,
     gain_proven,
     harm,
@@ -46,6 +47,7 @@ from mems_ins_fusion.diagnosis.residuals import Residual, lasting, tempered, whi
 from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
 from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.evaluation.intervals import effective_number
 from mems_ins_fusion.evaluation.metrics import Errors
 from mems_ins_fusion.evaluation.outages import Outages
 from mems_ins_fusion.evaluation.verdict import Verdict, change_in_outages
@@ -696,6 +698,23 @@ def outages_with(scale, sigma=1.0, count=36, largest=0.0, seed=1):
 ])
 def test_noise_levels_are_proven_by_smaller_errors_or_by_honest_sigmas(before, after, proven):
     assert gain_proven(before, after) == proven
+
+
+def test_filters_that_are_tried_count_by_how_unlike_their_changes_are():
+    # given outages of two durations, and three filters of which one begins later
+    rng, begin = np.random.default_rng(3), np.arange(4000) * 10**10
+    errors = 5.0 + rng.standard_normal((4, 4000))
+
+    def measured(*each, first=0):
+        return SimpleNamespace(outages=[SimpleNamespace(begin=begin[first:], max_error=one[first:]) for one in each])
+    before = measured(0 * begin, 0 * begin)
+    alike = [measured(errors[0], errors[0]), measured(errors[0], errors[0], first=7)]
+    # then those that change the same outages in the same way are one, and unlike in one duration they are several
+    assert candidates(before, alike) == pytest.approx(1.0)
+    assert candidates(before, [*alike, measured(errors[0], errors[1])]) == pytest.approx(
+        effective_number(errors[[0, 0, 1]]), abs=0.01)
+    # those without an outage cannot be said to be alike
+    assert candidates(SimpleNamespace(outages=[]), [measured(errors[0])] * 2) == 2
 
 
 def test_what_is_predicted_better_is_the_mean_of_the_horizons():

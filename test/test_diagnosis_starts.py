@@ -104,6 +104,22 @@ def test_a_wrong_time_offset_is_left_again(late):
     assert found.corrected[TIME_OFFSET] == pytest.approx(OFFSET, abs=0.05)
 
 
+@pytest.mark.parametrize(('stated', 'better'), [(0.1, True), (0.015, False)])
+def test_a_stated_offset_gives_way_to_one_that_is_known_better(late, stated, better):
+    # given an offset that is off by less than what shows for certain, and its sigma
+    given = table.check({TIME_OFFSET: OFFSET + 0.02, f'{TIME_OFFSET}_sigma': stated})
+    found = diagnose(late, given, effects=[EFFECTS['gnss_time_offset']], durations=(10.0,))
+    # then it is moved where the recording tells it with a smaller sigma, and kept else
+    now, sigma = found.corrected[TIME_OFFSET], found.corrected[f'{TIME_OFFSET}_sigma']
+    if better:
+        assert now == pytest.approx(OFFSET, abs=2.0 * sigma) and now != given[TIME_OFFSET] and sigma < 0.8 * stated
+    else:
+        assert (now, sigma) == (given[TIME_OFFSET], stated)
+    # and the intervals hold for all that was compared with what was given, not only for what was chosen of it
+    tested = [change for change in found.verdict.changes if change.difference is not None]
+    assert not better or 1 - found.verdict.level < 0.04 / len(tested)
+
+
 def test_an_offset_is_no_surer_than_a_receiver_that_smooths_leaves_it():
     # given a track that a receiver explains as well that smooths and is stamped otherwise by 0.3 s
     track = Offset(0.8, 0.4, np.zeros(3), np.ones(3), 0.0, 1.0, undecided=0.3)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.diagnosis.estimate import Estimate
-from mems_ins_fusion.evaluation.intervals import interval_of_share, of_mean, p_of_so_few, paired
+from mems_ins_fusion.evaluation.intervals import effective_number, interval_of_share, of_mean, p_of_so_few, paired
 from mems_ins_fusion.evaluation.verdict import (
     BETTER,
     CANNOT_TELL,
@@ -61,6 +61,38 @@ def test_nothing_that_changed_is_called_better_in_one_of_twenty_drives_at_most()
     answers = [decide(drive(rng)).answer for _ in range(300)]
     assert answers.count(BETTER) + answers.count(WORSE) <= 15 + 4 * np.sqrt(15)
     assert BETTER in [decide(drive(rng, 0.4)).answer for _ in range(3)]
+
+
+@pytest.mark.parametrize('alike', [0.0, 0.9])
+def test_the_best_of_several_that_are_no_better_is_called_better_in_one_of_twenty_drives_at_most(alike):
+    # given eight filters in each drive whose errors are on the average those of the one before, alike or not
+    rng, called, alone, drives = np.random.default_rng(7), 0, 0, 200
+    for _ in range(drives):
+        changes, number = [[] for _ in range(8)], 1.0
+        for duration, overlap in ((10.0, 1), (30.0, 1), (60.0, 2)):
+            before, shared = outages(rng, 17, overlap), rng.standard_normal(17)
+            own = np.sqrt(alike) * shared + np.sqrt(1 - alike) * rng.standard_normal((8, 17))
+            after = before * np.exp(0.3 * own - 0.045)
+            number = max(number, effective_number(after - before))
+            for one, errors in zip(changes, after):
+                one.append(change_in_outages(duration, before, errors, 17 // overlap))
+        called += any(decide(each, number).answer == BETTER for each in changes)
+        alone += any(decide(each).answer == BETTER for each in changes)
+    # then the best of them is seldom called better, and more often where each is judged as if it were the only one
+    assert called <= 0.05 * drives and called < 0.5 * alone
+    # and what is better is found among eight, too
+    assert BETTER in [decide(drive(rng, 0.4), 8.0).answer for _ in range(3)]
+
+
+def test_tests_that_go_together_count_as_fewer():
+    rng = np.random.default_rng(8)
+    one, four = rng.standard_normal(4000), rng.standard_normal((4, 4000))
+    assert effective_number(four) == pytest.approx(4.0, abs=0.01)
+    assert effective_number(np.array([one, 2.0 * one, -one])) == pytest.approx(1.0)
+    # of a correlation of 0.6 each, 1 + 3 (1 - 0.36)
+    assert effective_number(np.sqrt(0.6) * one + np.sqrt(0.4) * four) == pytest.approx(2.92, abs=0.1)
+    # what changes nothing is no test
+    assert effective_number(np.array([one, 0.0 * one])) == effective_number(np.zeros((0, 5))) == 1.0
 
 
 def test_better_is_for_certain_and_worse_in_nothing():
@@ -262,6 +294,15 @@ def test_a_diagnosis_is_green_only_where_a_gain_is_proven_or_nothing_is_wrong():
     # a changed file without a proof, innovations that are not right, sigmas that are too small
     assert grade(changed=True) == grade(lacking=True) == grade(better=True, changed=True, trust=untrue) == 'warning'
     assert grade(trust=untrue) == 'bad'
+
+
+def test_what_was_found_is_told_in_the_order_of_what_it_gains():
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_answer import _left
+
+    found = [SimpleNamespace(saves=saves) for saves in ((30.0, 5.0, 5.4), None, (30.0, 5.0, 2.0))]
+    assert [f.saves for f in sorted(found, key=_left)] == [(30.0, 5.0, 2.0), None, (30.0, 5.0, 5.4)]
 
 
 @pytest.mark.parametrize(('saves', 'said'), [

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mems_ins_fusion.configuration.regression import blocks, fit, jackknife
-from mems_ins_fusion.samples import MOST, Twists, in_time_order
+from mems_ins_fusion.samples import Twists, in_time_order, possible_numbers
 
 #: samples in motion, at least: at 5 Hz the four stretches of 10 s that the jackknife asks for
 _FEWEST = 200
@@ -37,7 +37,7 @@ class OdometryAxes:
 
 def estimate_odometry_axes(twists: Twists) -> OdometryAxes | None:
     """What `twists` (SI units) show; None without a velocity sideways, or with too little motion."""
-    forward, right, turn = np.where(np.abs(twists.twist) <= MOST, twists.twist, np.nan).T
+    forward, right, turn = possible_numbers(twists.twist).T
     good = in_time_order(twists.stamp, (right != 0.0) & (np.hypot(forward, right) > _SLOWEST))
     if len(good) < _FEWEST:
         return None

@@ -17,7 +17,7 @@ from .findings import Diagnosis, Finding
 from .fit import Model
 from .folds import parts, which_part
 from .held_out import HeldOut
-from .judgement import RUNS, compared, gain_proven, judged, objection_to_errors, predicts_worse
+from .judgement import RUNS, candidates, compared, gain_proven, judged, objection_to_errors, predicts_worse
 from .judging import by_drive_of
 from .known import Known
 from .measured import Measured, in_common, saved
@@ -99,9 +99,11 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
                    if _fixes_while_running(option, trials) >= RUNS * ran]
     trials.tell(MEASURING, 'measuring errors')
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
+    tried = _as_measured(corrections, trials)
+    many = candidates(before, [one.errors for one in tried[:-1]])
     correction, after, verdict, judged_on, against = _chosen([
-        (tried, judged(before, tried.errors, tried.correction.effects))
-        for tried in _as_measured(corrections, trials)], before, trials.without_standstills)
+        (one, judged(before, one.errors, one.correction.effects, many)) for one in tried],
+        before, trials.without_standstills)
     comparison = compared(before, judged_on.errors)
     if correction.values != given:  # one filter may start later than the other
         before, after = in_common(before, after), in_common(after, before)

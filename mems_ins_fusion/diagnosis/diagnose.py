@@ -16,7 +16,14 @@ from .conclusion import concluded
 from .drives import Drives, problems
 from .findings import Diagnosis
 from .problem import DiagnosisError
-from .search import add_best, begin, with_other_mechanization, without_superseded, without_undetermined
+from .search import (
+    add_best,
+    begin,
+    with_offset_known_better,
+    with_other_mechanization,
+    without_superseded,
+    without_undetermined,
+)
 from .starts import TIME_OFFSET, other_starts, shown_without_filter
 from .trial_runs import Progress, TrialRuns
 
@@ -73,6 +80,7 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
         if found_none or trials.enough():
             break
     known = without_undetermined(without_superseded(known, trials), trials)
+    known = with_offset_known_better(known, trials)
     return replace(concluded(known, trials), left_out=left_out)
 
 

@@ -53,12 +53,12 @@ class HeldOut:
         return self.stands and self.gain > 0 and (self.p < CERTAIN or self.gain > CLEAR and self.p < HELD_OUT_P)
 
 
-def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
+def held_out(longer: Model, shorter: Model, noise: int, support: float = SUPPORT) -> HeldOut:
     """The gain of `longer` over `shorter` on data that neither was fitted to.
 
     The first `noise` unknowns of both are noise levels; they are not fitted again. The gain is that of the whole
-    procedure: if the other parts do not support the new unknowns of `longer`, the procedure would not have added them,
-    and the estimate is that of `shorter`.
+    procedure: if the other parts do not support the new unknowns of `longer` at the level `support`, the procedure
+    would not have added them, and the estimate is that of `shorter`.
     """
     problem = longer.problem
     place = {u.name: i for i, u in enumerate(longer.unknowns)}
@@ -69,7 +69,7 @@ def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
         mask = problem.mask & ~part
         x, covariance = longer.refitted(mask, noise)
         without.append(shorter.refitted(mask, noise)[0])
-        if x[new] @ np.linalg.solve(covariance[np.ix_(new, new)], x[new]) < chi2.ppf(SUPPORT, len(new)):
+        if x[new] @ np.linalg.solve(covariance[np.ix_(new, new)], x[new]) < chi2.ppf(support, len(new)):
             x[old], x[new] = without[-1], 0.0
         else:
             supported += 1

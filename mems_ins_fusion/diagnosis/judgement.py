@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..evaluation.intervals import LEVEL, Difference, paired
+from ..evaluation.intervals import LEVEL, Difference, effective_number, paired
 from ..evaluation.verdict import BETTER, CANNOT_TELL, Change, Verdict, change_in_outages, change_with_fixes, decide
 from .held_out import CERTAIN, HeldOut
 from .measured import Measured, fairly
@@ -48,11 +48,27 @@ def changes(before: Measured, after: Measured) -> list[Change]:
     return found
 
 
-def judged(before: Measured, after: Measured, effects: bool = False) -> Verdict:
-    """Verdict on a change. It is not `better` if it does harm: to the ellipses, or to the errors of a single drive."""
-    verdict = decide(changes(before, after))
+def judged(before: Measured, after: Measured, effects: bool = False, candidates: float = 1.0) -> Verdict:
+    """Verdict on a change. It is not `better` if it does harm: to the ellipses, or to the errors of a single drive.
+    candidates: as for `decide`."""
+    verdict = decide(changes(before, after), candidates)
     against = harm(compared(before, after), effects) if verdict.answer == BETTER else ''
     return replace(verdict, answer=CANNOT_TELL, why=(against,)) if against else verdict
+
+
+def candidates(before: Measured, tried: Sequence[Measured]) -> float:
+    """Number of independent filters that those `tried` are worth, by the changes of their errors in the same outages,
+    those of the duration in which they have least in common."""
+    found = []
+    for k, old in enumerate(before.outages):
+        begin = old.begin
+        for one in tried:
+            begin = np.intersect1d(begin, one.outages[k].begin)
+        if len(begin) > 2:
+            errors = np.array([one.outages[k].max_error[np.isin(one.outages[k].begin, begin)]
+                               for one in (before, *tried)])
+            found.append(effective_number(errors[1:] - errors[0]))
+    return max(found, default=max(len(tried), 1))
 
 
 def compared(before: Measured, after: Measured) -> list[dict]:

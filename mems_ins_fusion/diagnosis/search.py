@@ -20,7 +20,7 @@ from .findings import Finding
 from .fit import Model, fit, scores
 from .folds import parts
 from .held_out import CERTAIN, held_out
-from .judgement import compared, objection, overall_ratio
+from .judgement import compared, objection, objection_to_errors, overall_ratio
 from .judging import CLOSE, COMPARED, REFITTED, Judged, judge, prune, small, with_candidate
 from .known import Known
 from .measured import saved
@@ -53,6 +53,9 @@ BETWEEN = 0.5
 DIFFERENT = 1.1
 #: difference of noise levels (natural logarithm) below which two starts are the same
 SAME_START = 0.7
+#: largest ratio of the sigma of a time offset and the stated one with which it replaces the stated offset: as much as
+#: with half as many data more
+SHARPER = 0.8
 #: for effects that are constant, those that vary with time and so explain the same data, too. The constant one is tried
 #: first
 VARIED = dict.fromkeys(('gnss_time_offset', 'gnss_lag'), ('gnss_latency', 'gnss_coloured_noise'))
@@ -304,6 +307,35 @@ def without_undetermined(known: Known, trials: TrialRuns) -> Known:
     estimates = tuple(_by_part(pruned, known.noise))
     known = replace(known, model=pruned, estimates=estimates, findings=tuple(findings), hidden=known.hidden | gone)
     return replace(known, errors=trials.errors(known.by_part()))
+
+
+def with_offset_known_better(known: Known, trials: TrialRuns) -> Known:
+    """`known` with another value of gnss.time_offset, where the params file states one, not zero, with its sigma and
+    the recordings tell it with a plainly smaller one.
+
+    That there is an offset is not in question then, so what is left of it need not be different from zero for certain:
+    by that, a stated value that is one or two sigma off would stay only because the search begins at it. It is set if
+    predictions of held-out data gain, for certain or not, and no error grows.
+    """
+    stated = trials.origin.given['gnss.time_offset_sigma']
+    effect = next((e for e in (*known.effects, *known.rejected) if e.name == 'gnss_time_offset'), None)
+    if not stated or not trials.origin.given['gnss.time_offset'] or effect is None:
+        return known
+    unknowns = [*known.model.unknowns, *effect_unknowns(effect, {})]
+    model = fit(known.problem, unknowns, np.append(known.model.x, 0.0), REFITTED)
+    sigma = float(sigmas(model, trials.beside.track, trials.origin.given)[-1])
+    if sigma > SHARPER * stated:
+        return known
+    proof = held_out(model, known.model, known.noise, support=0.0)
+    errors = trials.errors([known.problem.corrected(unknowns, x) for x in proof.estimates])
+    if proof.gain <= 0.0 or objection_to_errors(compared(known.errors, errors)):
+        return known
+    [parameter] = effect.traced
+    finding = Finding(effect.name, [effect.name], {parameter.name: Estimate(float(model.x[-1]), sigma, parameter.unit)},
+                      2 * proof.gain, proof.p, True, proof, saves=saved(known.errors, errors))
+    return replace(known, model=model, errors=errors, estimates=tuple(proof.estimates),
+                   findings=_with_findings(known.findings, [finding]),
+                   effects=tuple(e for e in known.effects if e.name != effect.name))
 
 
 def _by_part(model: Model, noise: int) -> list[np.ndarray]:

@@ -99,6 +99,21 @@ def p_of_so_few(count: float, of: float, share: float) -> float:
     return float(betainc(of - count, count + 1, 1 - share)) if count < of else 1.0
 
 
+def effective_number(values: np.ndarray) -> float:
+    """Number of independent tests that are worth as much as k tests of `values` (k, n), which are correlated: from 1,
+    if all rows go together, to k. Rows of zeros count as no test.
+
+    Source: D. R. Nyholt, "A simple correction for multiple testing for single-nucleotide polymorphisms in linkage
+    disequilibrium with each other", American Journal of Human Genetics 74 (2004), by the mean square correlation.
+    """
+    values = values[values.any(axis=1)]
+    k = len(values)
+    if k < 2:
+        return 1.0
+    alike = (np.sum(np.corrcoef(values) ** 2) - k) / (k * (k - 1))
+    return float(1 + (k - 1) * (1 - alike))
+
+
 def holm(p: list[float]) -> list[float]:
     """`p` values adjusted for the number of comparisons (Holm 1979)."""
     order = np.argsort(p)

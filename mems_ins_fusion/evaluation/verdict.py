@@ -109,7 +109,8 @@ class Verdict:
     """Whether a filter is better than the one before.
 
     answer: BETTER, SAME, WORSE, CANNOT_TELL, or NOT_USABLE where the data are wrong. changes: all changes. level:
-    confidence level of their intervals, such that all of them together hold in 95 of 100 cases. fitted_here: whether
+    confidence level of their intervals, such that all of them together, and those of the filters that were compared
+    but not chosen, hold in 95 of 100 cases. fitted_here: whether
     the new filter was fitted to these data, which then prove no gain. why: what makes the data unusable.
     """
 
@@ -137,12 +138,17 @@ class Verdict:
                    default=None)
 
 
-def decide(changes: Iterable[Change]) -> Verdict:
+def decide(changes: Iterable[Change], candidates: float = 1.0) -> Verdict:
     """BETTER if some error is certainly smaller, by an amount that matters, and none is certainly larger; WORSE in the
-    opposite case; SAME if the intervals exclude any difference that matters; else CANNOT_TELL."""
+    opposite case; SAME if the intervals exclude any difference that matters; else CANNOT_TELL.
+
+    candidates: number of independent filters of which this one was chosen as the best on these data
+    (`intervals.effective_number`). The best of several looks better than it is, so the intervals of all of them have to
+    hold together (Bonferroni).
+    """
     changes = tuple(changes)
     tested = [c for c in changes if c.difference is not None]
-    level = 1 - (1 - LEVEL) / max(len(tested), 1)
+    level = 1 - (1 - LEVEL) / (max(len(tested), 1) * candidates)
     signs = {c.sign(level) for c in tested}
     if signs >= {-1, 1} or not tested:
         answer = CANNOT_TELL

@@ -24,6 +24,7 @@ from .verdicts import Verdicts
 PERIOD = 1.0
 #: s: messages that are delayed by more than others show that the machine is busy
 _LONG_WAIT = 0.1
+_WRONG_MOUNTING = 'nothing is published with a mounting that is certainly wrong'
 #: level of the logger for each level of a status
 _LOG_LEVELS = {b'\x00': 'info', b'\x01': 'warning', b'\x02': 'error'}
 
@@ -113,7 +114,9 @@ class Monitor:
         state, reasons, health = self._judge()
         certain = self.mounting.is_certainly_wrong
         level = ERROR if certain else level_of(state, self._cannot_start_for())
-        since, said = self._state_log.look(state, '; '.join(reasons) or health['status'], level)
+        # the mounting that was found is in the line of the look that has found it
+        logged = reasons[:1] if certain and len(reasons) > 1 else reasons
+        since, said = self._state_log.look(state, '; '.join(logged) or health['status'], level)
         if said:
             self._log.tell(_LOG_LEVELS[level], said)
         for source in self._inputs:
@@ -148,8 +151,7 @@ class Monitor:
             return (SILENT, [f'no sample on {last.topic_name} for {imu.silence:.0f} s, nothing is published'],
                     by_the_clock(health, imu.silence))
         if self.mounting.is_certainly_wrong:
-            reasons = [f'{self._imu.topic_name}: nothing is published with a mounting that is certainly wrong: '
-                       f'{self.mounting.found}']
+            reasons = [f'{self._imu.topic_name}: {_WRONG_MOUNTING}', self.mounting.found]
         elif state in BEFORE_START:
             reasons = [health['status']]
         elif state == 'coasting':

@@ -73,12 +73,10 @@ class Preflight:
         return seen, source.qos_problem()
 
     def _mounting(self, force) -> tuple[str, str]:
-        declared = self._values['imu.mounting_rpy']
-        up = rotation_from_rpy(*declared)[2] @ force / np.linalg.norm(force)
+        up = rotation_from_rpy(*self._values['imu.mounting_rpy'])[2] @ force / np.linalg.norm(force)
         tilt = math.acos(max(-1.0, min(1.0, float(up))))
-        return (f'with imu.mounting_rpy {declared} the specific force is {math.degrees(tilt):.0f} deg from the '
-                f'vertical (up to {math.degrees(_TILT):.0f} by slopes and turns)',
-                'set imu.mounting_rpy (`configure` finds it from a recording)' if tilt > _TILT else '')
+        return (f'specific force {math.degrees(tilt):.0f} deg from the vertical (up to {math.degrees(_TILT):.0f} by '
+                'slopes and turns)', 'set imu.mounting_rpy (`configure` finds it)' if tilt > _TILT else '')
 
     def _clocks(self) -> tuple[str, str]:
         if not self._ages:

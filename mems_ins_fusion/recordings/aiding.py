@@ -24,7 +24,6 @@ from mems_ins_fusion.recordings.motion import (
 )
 from mems_ins_fusion.recordings.remarks import ERROR, INFO, SURE, WARNING, Remark, count_of
 from mems_ins_fusion.samples import (
-    MOST,
     Fixes,
     Headings,
     MagneticFields,
@@ -34,6 +33,7 @@ from mems_ins_fusion.samples import (
     Velocities,
     in_time_order,
     possible,
+    possible_numbers,
 )
 
 #: Pa in each unit of pressure
@@ -322,7 +322,7 @@ def check_magnetometer(fields: MagneticFields, fixes: Fixes | None) -> Iterator[
     """Check the unit of the magnetic field, and whether it turns with the vehicle's course. fixes: valid fixes in the
     order of their stamps, or None."""
     topic = 'magnetometer'
-    size = np.linalg.norm(np.where(np.abs(fields.field) <= MOST, fields.field, np.nan), axis=1)
+    size = np.linalg.norm(possible_numbers(fields.field), axis=1)
     yield from _check_present(topic, fields, size, fields.variance)
     middle = float(np.nanmedian(size)) if np.isfinite(size).any() else np.nan
     if not _WEAKEST <= middle <= _STRONGEST:

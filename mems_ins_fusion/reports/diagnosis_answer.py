@@ -10,7 +10,7 @@ import numpy as np
 from ..diagnosis.conclusion import MOUNTING
 from ..diagnosis.detection import COLOURED, Detection
 from ..diagnosis.findings import Diagnosis, Finding
-from ..evaluation.verdict import BETTER, CANNOT_TELL, NO, NOT_USABLE, SAME, WORSE, Verdict
+from ..evaluation.verdict import BETTER, CANNOT_TELL, NO, NOT_USABLE, SAME, Verdict
 from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.remarks import Remark, checked_text
@@ -32,7 +32,7 @@ def answer(diagnosis: Diagnosis, checked: list[Remark], output: str, bags: Seque
     """
     d = diagnosis
     out = [f'{name} was left out: {why}' for name, why in d.left_out.items()]
-    found = [found_text(f, d) for f in d.findings if f.added] + settings_texts(d)
+    found = [found_text(f, d) for f in sorted((f for f in d.findings if f.added), key=_left)] + settings_texts(d)
     shown = [shown_text(d.detections['before'])] if d.detections['before'].lacking else []
     # no warning for what is corrected; messages with a parameter come before those on innovations
     said = [f for f in checked if f.severity != INFO and not set(f.settings) & set(changed(d))]
@@ -100,8 +100,13 @@ def _size(f: Finding, d: Diagnosis) -> str:
     if not f.seen:
         why = '; '.join(f'{name.split(".")[1]}: {why}' for name, why in d.hidden.items()
                         if name.startswith(f'{f.name}.'))
-        return sizes or why or 'its size is not determined'
+        return f'{sizes}{_beside(f, d)}' if sizes else why or 'its size is not determined'
     return f'{sizes}; {f.seen}' if f.name in WITH_SIZE else f.seen
+
+
+def _beside(f: Finding, d: Diagnosis) -> str:
+    """That a time offset is in addition to one that the params file has: its words would be those of the whole one."""
+    return ' than your file says' if any(name.endswith('.time_offset') and d.values[name] for name in f.changes) else ''
 
 
 def _change(f: Finding, d: Diagnosis) -> str:
@@ -112,16 +117,18 @@ def _change(f: Finding, d: Diagnosis) -> str:
     return f' corrected.yaml sets {", ".join(said)}.' if said else ''
 
 
+def _left(f: Finding) -> float:
+    """The share of the error without fixes that a finding left when it was added; 1 where that is not known."""
+    return f.saves[2] / f.saves[1] if f.saves is not None and f.saves[1] else 1.0
+
+
 def _saves(f: Finding) -> str:
     """The gain over what was found before, as a ratio: metres would be those of other outages than in the rest of the
     page."""
-    if f.saves is None or not f.saves[1]:
-        return ''
-    duration, before, after = f.saves
-    part = round(100 * (1 - after / before))
+    part = round(100 * (1 - _left(f)))
     if not part:
         return ''
-    return (f' When it was added, the error in {duration:g} s without fixes became {abs(part)} % '
+    return (f' When it was added, the error in {f.saves[0]:g} s without fixes became {abs(part)} % '
             f'{"smaller" if part > 0 else "larger"}.')
 
 
@@ -160,11 +167,11 @@ def headline(verdict: Verdict, changed: bool = False, tried: str = 'what was fou
         return f'corrected.yaml {what_of_it}: {proof}.'
     if verdict.why:
         return f'Keep your parameters: {verdict.why[0]}; with {tried}, {proof}.'
-    if verdict.answer == SAME or verdict.answer == CANNOT_TELL and not verdict.shown.smaller:
-        return 'Keep your parameters: nothing that was tried makes errors smaller.'
-    return {BETTER: f'Use corrected.yaml: {proof}.',
-            WORSE: f'Keep your parameters, errors would grow: with {tried}, {proof}.',
-            CANNOT_TELL: f'Keep your parameters, no gain is proven: with {tried}, {proof}.'}[verdict.answer]
+    if verdict.answer == BETTER:
+        return f'Use corrected.yaml: {proof}.'
+    if verdict.answer == CANNOT_TELL and verdict.shown.smaller:
+        return f'Keep your parameters, no gain is proven: with {tried}, {proof}.'
+    return 'Keep your parameters: nothing that was tried makes errors smaller.'
 
 
 def _steps(d: Diagnosis, output: str, bags: Sequence[str], params_file: str, settings: list[str]) -> list[Step]:

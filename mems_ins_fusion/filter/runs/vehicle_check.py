@@ -59,8 +59,8 @@ def vehicle_warnings(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray
         backwards = -(np.cos(heading) * fixes[:, Event.V_N] + np.sin(heading) * fixes[:, Event.V_E])
         fastest = float(backwards.max(initial=0.0))
         if fastest > FASTEST_BACKWARDS:
-            texts.append(f'{topic}: the vehicle seems to go backwards at {fastest:.1f} m/s: if it does not, the IMU is '
-                         'mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
+            texts.append(f'{topic}: the vehicle seems to go backwards at {fastest:.1f} m/s; if it does not, turn '
+                         'the yaw of imu.mounting_rpy by pi')
     sideways, slid = float(row[Nav.SIDEWAYS]), float(row[Nav.SLID])
     if sideways > LONGEST_SIDEWAYS:
         texts.append(f'the vehicle went sideways for {sideways:.0f} s, against vehicle.non_holonomic, '
@@ -70,10 +70,9 @@ def vehicle_warnings(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray
         texts.append(f'{topic}: for {slid:.1f} s it showed a sideways motion that is unusual for this vehicle: the '
                      'vehicle slid, or the IMU was wrong. In that time every fix was used')
     if memory[White.SHAKEN] > LONGEST_SHAKEN:
-        texts.append(f'{topic}: for minutes the noise of the gyroscopes is more than {NOTEWORTHY:g} times '
-                     'gyroscope.noise_density: the vehicle vibrates faster than the IMU samples. The filter uses the '
-                     'larger noise (imu.adapt_noise); a soft mount, a higher sampling rate or the low pass of the IMU '
-                     'reduce it')
+        texts.append(f'{topic}: for minutes the gyroscopes have been noisier than {NOTEWORTHY:g} times '
+                     'gyroscope.noise_density: the vehicle vibrates faster than the IMU samples. A soft mount, a '
+                     'higher rate or the low pass of the IMU help')
     return texts
 
 

@@ -68,8 +68,7 @@ class Backwards(Contradicted):
 
 
 #: what is waited for then, with the verb for what the vehicle does
-BACKWARDS = ('the vehicle to drive forwards: it {} backwards; if it does not, the IMU is mounted the other way round: '
-             'turn the yaw of imu.mounting_rpy by pi')
+BACKWARDS = 'the vehicle to drive forwards: it {} backwards; if not, turn the yaw of imu.mounting_rpy by pi'
 
 
 class _Motion(NamedTuple):
