@@ -77,7 +77,8 @@ _LEAST_OWN = 0.1
 _TILT = 0.05
 #: rad, the same of the heading
 _HEADING = 0.2
-#: twice the log odds that the vehicle goes forwards in a piece, before anything is known: in one of a hundred it does not
+#: twice the log odds that the vehicle goes forwards in a piece, before anything is known. Chosen: in one of a hundred
+#: it does not
 _FORWARDS = 2.0 * math.log(99.0)
 #: rad/s, the same of the gyroscopes' biases where they were measured at a standstill
 _RATE_AT_REST = 3e-4
@@ -286,8 +287,8 @@ class _Pieces:
     (w, m). lasting: (3, w, m, m) covariances of the integrated sensor noises and of lasting errors, for a variance of
     1. own: (10,) prior information on the unknowns of each piece: position, velocity, attitude, rate. smoothing: s^2,
     of the receiver; behind: (n, 3) m, by how much its fixes lag with this smoothing; by_smoothing: the derivative of
-    that, m/s^2. forwards: (w,) 1 where the vehicle goes forwards, -1 backwards. roots: results of `_whitening` by noise,
-    kept as they take most of the time and each noise is tried with several offsets and smoothings.
+    that, m/s^2. forwards: (w,) 1 where the vehicle goes forwards, -1 backwards. roots: results of `_whitening` by
+    noise, kept as they take most of the time and each noise is tried with several offsets and smoothings.
     """
 
     track: Track
@@ -331,8 +332,8 @@ class _Pieces:
 
         def unlikely(pieces):
             each = pieces._reduced(pieces._design(lag), pieces._whitening(noise)[0])[0]
-            right = each[:, 1:, :1]
-            cost = each[:, 0, 0] - (right * np.linalg.solve(each[:, 1:, 1:] + np.diag(_SHARED**-2.0), right)).sum((1, 2))
+            right, normal = each[:, 1:, :1], each[:, 1:, 1:] + np.diag(_SHARED**-2.0)
+            cost = each[:, 0, 0] - (right * np.linalg.solve(normal, right)).sum(axis=(1, 2))
             return freedom * np.log(np.maximum(cost, 1e-300)) - 0.5 * _FORWARDS * pieces.forwards
         other = replace(self, forwards=-self.forwards)
         return replace(self, forwards=np.where(unlikely(other) < unlikely(self), other.forwards, self.forwards))
