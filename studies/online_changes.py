@@ -1,15 +1,17 @@
 """What changes while a vehicle drives: when the diagnosis finds it, the filter has it, and what is old is dropped.
 
     python studies/online_changes.py [--seeds 1] [--first-seed 9400] [--minutes 16] [--rate 50] [--receiver RTK]
-                                     [--rows 0 1 ...] [--find] [-v]
+                                     [--rows 0 1 ...] [--find] [--kept] [-v]
 
 Realistic drives (studies/vehicle.py) in which the receiver's time offset, the place of the antenna, the IMU's mounting
 or a scale is another one from a third of the drive on, or until there, or from the begin on two at once. The seed gives
 the signs. Each is driven as a live node drives with `diagnosis.online: apply` and analyses that count a minute after
 their begin (`diagnosis.share: 1`); without --find analyses find nothing, so that all comes from the look of each
 minute, which knows nothing of scales. For each effect: after how many seconds from the change on it was on trial,
-proven, and driven with; value and sigma beside the true one; after how many seconds an old value was dropped. Then the
-RMS position error of the last third, m, with the parameters as given and with `apply`. -v: all that was said.
+proven, and driven with; value and sigma beside the true one; after how many seconds the filter went on without an old
+value, and, of an antenna, when the first turn after the change begins, as it shows in turns alone. Then the RMS
+position error of the last third, m, with the parameters as given and with `apply`. --kept: the effects are known from
+an earlier drive. -v: all that was said.
 """
 from __future__ import annotations
 
@@ -20,8 +22,9 @@ import numpy as np
 from online import error
 from vehicle import FIXES, sensors
 
+from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.online import OTHER
-from mems_ins_fusion.diagnosis.quantity import COARSE, FINE
+from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, Kept
 from mems_ins_fusion.diagnosis.watch import Watch
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.parameters import table
@@ -30,6 +33,7 @@ from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import simulate_recording
 
 OFFSET, ARM = ('gnss_time_offset', {'time_offset': 0.25}), ('gnss_lever_arm', {'x': 1.2, 'y': -0.8})
+TURN = 0.15  # rad/s
 MOUNTING = 'mounting_rotation', {'yaw': 0.15}
 SCALE = 'gyroscope_scale', {'z': 0.03}  # which the analyses know, and not the look
 #: effects, and the parts of the drive in which they are there
@@ -72,16 +76,37 @@ def made(row: tuple, seed: int, minutes: float, rate: float, receiver: str) -> C
     return Case(recording, true, seconds * first, seconds * last if last < 1.0 else 0.0)
 
 
-def told(case: Case, receiver: str, row: tuple, seed: int, find: bool, loud: bool) -> str:
+def known(case: Case, values: dict) -> list[Kept]:
+    """The effects of `case` as an earlier drive has found them, exactly."""
+    found = []
+    for name, true in case.true.items():
+        effect = effect_called(name)
+        sizes = {one.name: true.get(one.name, 0.0) for one in effect.traced}
+        sets = {n: v for n, v in effect.adjusted(values, sizes).items() if v != values.get(n)}
+        units = {one.name: one.unit for one in effect.traced}
+        found.append(Kept(name, {p: Estimate(v, 0.05, units[p]) for p, v in true.items()}, sets))
+    return found
+
+
+def first_turn(case: Case) -> float:
+    """s after the end of the effects at which the next turn begins."""
+    imu = case.recording.imu
+    at = (imu.stamp - imu.stamp[0]) * 1e-9 - case.end
+    turning = at[(at > 0.0) & (np.abs(imu.angular_rate[:, 2]) > TURN)]
+    return float(turning[0]) if len(turning) else np.nan
+
+
+def told(case: Case, receiver: str, row: tuple, seed: int, options) -> str:
     """A line of the table."""
     recording = case.recording
     values = table.check({'diagnosis.online': 'apply', 'diagnosis.share': 1.0})
-    watch = Watch(replace(recording, reference=None), values, find=None if find else lambda part, given: [])
+    watch = Watch(replace(recording, reference=None), values, kept=known(case, values) if options.kept else (),
+                  find=None if options.find else lambda part, given: [])
     as_given, _ = error(recording, values)
     apply, run = error(recording, values, watch)
     zero, cells = int(recording.imu.stamp[0]), []
     said = [((q.time - zero) * 1e-9, q) for q in watch.said]
-    if loud:
+    if options.v:
         print(*(f'    {at:6.0f} s {q.name} {q.state} applied={q.applied}: {q.text}' for at, q in said), sep='\n')
         print(*(f'    {(h.stamp - zero) * 1e-9:6.0f} s {h.text}' for h in run.handovers), sep='\n')
     wrong = sorted({q.name for _, q in said if q.applied and q.name.removesuffix(OTHER) not in case.true
@@ -95,9 +120,16 @@ def told(case: Case, receiver: str, row: tuple, seed: int, find: bool, loud: boo
         found = {} if applied[1] is None else applied[1].parameters
         value = ', '.join(f'{p} {e.text()} ({(e.value - true.get(p, 0.0)) / e.sigma:+.1f} sigma)'
                           for p, e in found.items() if e.known)
-        gone = [f'{(one.stamp - zero) * 1e-9 - case.end:.0f} s' for one in run.dropped if one.name == name]
+        dropped = [(one.stamp - zero) * 1e-9 for one in run.dropped if one.name == name]
+        changed = [(one.stamp - zero) * 1e-9 for one in run.handovers]
+        had = [q.sets for at, q in said if q.name == name and q.applied and at <= case.end]
+        taken_back = [at for at, q in said if q.name == name and at > case.end and had and (
+            q.sets != had[-1] or not q.applied)]
+        gone = [*dropped, *(next((to for to in changed if to >= at), np.inf) for at in taken_back)]
+        end = f'; without it after {min(gone, default=np.inf) - case.end:.0f} s' if case.end else ''
+        turn = f', first turn {first_turn(case):.0f} s' if case.end and name == ARM[0] else ''
         cells.append(f'{name} {true}: on trial {tried[0]:.0f}, FINE {proven[0]:.0f}, applied {applied[0]:.0f}, drives '
-                     f'{drives:.0f} s; {value}; dropped {", ".join(gone) or "never"}')
+                     f'{drives:.0f} s; {value}{end}{turn}')
     return (f'| {receiver} {seed} | {row[1]:.0%} to {row[2]:.0%} | {"; ".join(cells)} | {", ".join(wrong) or "none"} | '
             f'{as_given:.2f} | {apply:.2f} |')
 
@@ -111,6 +143,7 @@ def main() -> None:
     parser.add_argument('--receiver', choices=FIXES, default='RTK')
     parser.add_argument('--rows', type=int, nargs='+', default=list(range(len(ROWS))))
     parser.add_argument('--find', action='store_true')
+    parser.add_argument('--kept', action='store_true')
     parser.add_argument('-v', action='store_true')
     options = parser.parse_args()
     print('| drive | there | effects | others applied | as given | apply |')
@@ -118,7 +151,7 @@ def main() -> None:
     for row in (ROWS[k] for k in options.rows):
         for seed in range(options.first_seed, options.first_seed + options.seeds):
             case = made(row, seed, options.minutes, options.rate, options.receiver)
-            print(told(case, options.receiver, row, seed, options.find, options.v), flush=True)
+            print(told(case, options.receiver, row, seed, options), flush=True)
 
 
 if __name__ == '__main__':

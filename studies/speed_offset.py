@@ -1,11 +1,11 @@
 """How well `configuration.speed_offset` finds how late a wheel speed is: realistic simulated drives.
 
-    python studies/speed_offset.py [DRIVES]
+    python studies/speed_offset.py [DRIVES [FIRST_SEED [SECONDS]]]
     python studies/speed_offset.py measured
 
 Roads with grades, suspension, vibration, an IMU two metres in front of the axle and turned by what `configure`
 leaves of its mounting (2 deg); wheels with a scale of 1 % and 0.05 m/s of noise, offsets of -0.4 to 0.6 s. What is
-printed stands in docs/configure.md, "Wheel speed".
+printed stands in docs/configure.md, "Wheel speed". SECONDS: the last ones of the drive alone.
 
 measured: the IMUs of measured drives, with a speed made of the track, between one position and the next (RTK fixes at 4
 Hz, a reference at 10 Hz), in the middle of the two, and late by some offset more.
@@ -45,20 +45,21 @@ def quantized(speeds: Speeds, step: float) -> Speeds:
     return replace(speeds, speed=np.where(np.abs(rounded) < 2.0 * step, 0.0, rounded))
 
 
-def main(drives: int) -> None:
+def main(drives: int = 40, first_seed: int = 0, length: int = round(DURATION)) -> None:
     scene = replace(SCENES['realistic'], axle_to_imu=(2.0, 0.3, 0.5), mounting_error=0.0,
                     aiding=SimulatedAiding(speed_rate=10.0))
     values = {**table.defaults(), **scene.imu}
     found = []
-    for seed in range(drives):
+    for seed in range(first_seed, first_seed + drives):
         offset = np.random.default_rng(seed).uniform(-0.4, 0.6)
         drive = scene.drive(DURATION, seed, 100.0)
         distortions = scene.distortions(seed)
         recording = simulate_recording(drive, SensorErrors.from_parameters(values, 'gauss_markov'), None,
                                        distortions.pop('effects'), seed=seed, **distortions).recording
         late = replace(recording.speed, stamp=recording.speed.stamp + round(offset * 1e9))
-        seen = estimate_speed_offset(recording.imu, quantized(late, 0.1 if seed % 2 else 0.01),
-                                     rotation_from_rpy(*MOUNTING))
+        since = recording.imu.stamp[0] + round((DURATION - length) * 1e9)
+        imu, late = (samples.select(samples.stamp >= since) for samples in (recording.imu, late))
+        seen = estimate_speed_offset(imu, quantized(late, 0.1 if seed % 2 else 0.01), rotation_from_rpy(*MOUNTING))
         if seen is None:
             print(f'drive {seed}: not shown')
             continue
@@ -101,4 +102,4 @@ if __name__ == '__main__':
     if sys.argv[1:] == ['measured']:
         measured()
     else:
-        main(int(sys.argv[1]) if len(sys.argv) > 1 else 40)
+        main(*map(int, sys.argv[1:]))

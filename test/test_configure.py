@@ -45,6 +45,11 @@ HILLS = ((0.04, 900.0, 0.3), (0.02, 250.0, 2.0))
 SHORT = (Segment(15.0), Segment(8.0, 10.0), Segment(15.0), Segment(4.0, -4.0), Segment(6.0, 0.0, QUARTER),
          Segment(4.0, 5.0), Segment(15.0), Segment(9.0, -11.0), Segment(8.0), Segment(9.0, 12.0),
          Segment(27.0 + MARGIN))
+#: the same with twelve seconds backwards round a corner
+REVERSING = (Segment(8.0), Segment(6.0, 8.0), Segment(10.0), Segment(4.0, -8.0), Segment(4.0), Segment(3.0, -2.0),
+             Segment(12.0, 0.0, 0.6), Segment(3.0, 2.0), Segment(4.0), Segment(6.0, 9.0), Segment(8.0),
+             Segment(5.0, 0.0, QUARTER), Segment(8.0), Segment(5.0, -5.0), Segment(6.0, 0.0, -QUARTER),
+             Segment(28.0 + MARGIN))
 STRAIGHT = (Segment(10.0), Segment(10.0, 12.0), Segment(100.0 + MARGIN))
 
 
@@ -160,6 +165,18 @@ def test_time_offset_and_antenna_are_found_together_with_honest_sigmas(late):
     assert offset.lag == pytest.approx(-0.6, abs=3.0 * offset.lag_sigma) and offset.lag_sigma < 0.03
     assert np.all(np.abs(offset.arm - [-0.8, 0.4, 0.5]) < 3.0 * offset.arm_sigma)
     assert np.all(offset.arm_sigma[:2] < 0.3) and offset.rivals == ()
+
+
+def test_a_piece_in_reverse_is_no_noise_of_the_others():
+    # given two minutes of which the vehicle goes backwards for eighteen seconds, and fixes of 2 cm, 0.2 s late
+    for seed in (4, 5):
+        made = recording(REVERSING, sigma=0.02, seed=seed, effects=[
+            (EFFECTS['gnss_time_offset'], {'time_offset': 0.2})])
+        offset = estimate_offset(made.imu, made.gnss, np.eye(3))
+        # then offset and antenna are as well known as in a drive without that (three times worse where it counts as
+        # one that goes forwards)
+        assert offset.lag == pytest.approx(0.2, abs=3.0 * offset.lag_sigma) and offset.lag_sigma < 0.015
+        assert np.all(np.abs(offset.arm[:2]) < 3.0 * offset.arm_sigma[:2]) and offset.arm_sigma[:2].max() < 0.15
 
 
 def test_sigmas_of_the_time_offset_are_honest():

@@ -77,6 +77,9 @@ _LEAST_OWN = 0.1
 _TILT = 0.05
 #: rad, the same of the heading
 _HEADING = 0.2
+#: twice the log odds that the vehicle goes forwards in a piece, before anything is known. Chosen: in one of a hundred
+#: it does not
+_FORWARDS = 2.0 * math.log(99.0)
 #: rad/s, the same of the gyroscopes' biases where they were measured at a standstill
 _RATE_AT_REST = 3e-4
 #: rad/s, the same without a standstill
@@ -162,6 +165,7 @@ def _estimated(pieces: _Pieces) -> Offset:
     for _ in range(2):
         costs = np.array([pieces.solved(lag, noise, free=False).cost for lag in lags])
         lag = float(lags[np.argmin(costs)])
+        pieces = pieces.headed(lag, noise)
         noise = pieces.noise(lag)
     # in turns, smoothing and a time offset look alike: the likelihood decides between them
     starts = [_stepped(pieces.smoothed(tau**2), lag, noise) for tau in _SMOOTHING]
@@ -283,8 +287,8 @@ class _Pieces:
     (w, m). lasting: (3, w, m, m) covariances of the integrated sensor noises and of lasting errors, for a variance of
     1. own: (10,) prior information on the unknowns of each piece: position, velocity, attitude, rate. smoothing: s^2,
     of the receiver; behind: (n, 3) m, by how much its fixes lag with this smoothing; by_smoothing: the derivative of
-    that, m/s^2. roots: results of `_whitening` by noise, kept as they take most of the time and each noise is tried
-    with several offsets and smoothings.
+    that, m/s^2. forwards: (w,) 1 where the vehicle goes forwards, -1 backwards. roots: results of `_whitening` by
+    noise, kept as they take most of the time and each noise is tried with several offsets and smoothings.
     """
 
     track: Track
@@ -299,6 +303,7 @@ class _Pieces:
     smoothing: float
     behind: np.ndarray
     by_smoothing: np.ndarray
+    forwards: np.ndarray
     roots: dict = field(default_factory=dict)
 
     @property
@@ -319,6 +324,19 @@ class _Pieces:
         low, middle, high = (one * self.track.smoothed(math.sqrt(one)) for one in around)
         change = (high - low) / (around[2] - around[0])
         return replace(self, smoothing=smoothing, by_smoothing=change, behind=middle + (smoothing - at) * change)
+
+    def headed(self, lag: float, noise) -> _Pieces:
+        """The same pieces, each headed as is more likely by itself, with all unknowns and the size of the noise free: a
+        vehicle that goes backwards in one piece would make the noise of all of them."""
+        freedom = np.maximum(2.0 * self.used.sum(axis=1) - 4.0, 1.0)
+
+        def unlikely(pieces):
+            each = pieces._reduced(pieces._design(lag), pieces._whitening(noise)[0])[0]
+            right, normal = each[:, 1:, :1], each[:, 1:, 1:] + np.diag(_SHARED**-2.0)
+            cost = each[:, 0, 0] - (right * np.linalg.solve(normal, right)).sum(axis=(1, 2))
+            return freedom * np.log(np.maximum(cost, 1e-300)) - 0.5 * _FORWARDS * pieces.forwards
+        other = replace(self, forwards=-self.forwards)
+        return replace(self, forwards=np.where(unlikely(other) < unlikely(self), other.forwards, self.forwards))
 
     def noise(self, lag: float) -> tuple[float, float, float]:
         """The most likely noise for that offset."""
@@ -425,7 +443,7 @@ class _Pieces:
 
     def _attitude(self, rotation):
         """(w, 3, 3) from the frame of the gyroscopes to north-west-up in each piece: level on average, and headed so
-        that the vehicle goes where it points."""
+        that the vehicle goes where it points, or backwards."""
         used = self.used[..., None]
         up = ((rotation @ self.rotation[2]) * used).sum(axis=1)
         up /= np.linalg.norm(up, axis=1)[:, None]
@@ -438,7 +456,7 @@ class _Pieces:
         step = np.diff(self.place, axis=1) * used[:, 1:]
         pointing = np.einsum('wmj,wj->wm', forward, first) + 1j * np.einsum('wmj,wj->wm', forward, second)
         gone = ((step[..., 0] + 1j * step[..., 1]) * pointing.conj() / np.maximum(np.abs(pointing), 1e-9)).sum(axis=1)
-        direction = gone / np.maximum(np.abs(gone), 1e-9)
+        direction = self.forwards * gone / np.maximum(np.abs(gone), 1e-9)
         cosine, sine = direction.real[:, None], direction.imag[:, None]
         return np.stack([cosine * first - sine * second, sine * first + cosine * second, up], axis=1)
 
@@ -479,7 +497,7 @@ def _pieces(imu: ImuSamples, fixes: Fixes, rotation) -> _Pieces | None:
     rate = _RATE_AT_REST if still.any() else _RATE
     own = np.concatenate([np.full(4, 1e-12), np.array([_TILT, _TILT, _HEADING]) ** -2.0, np.full(3, rate**-2.0)])
     return _Pieces(track, rotation, sigma, times, place[at], used, used.astype(float), lasting, own, 0.0,
-                   np.zeros_like(track.force), track.force)
+                   np.zeros_like(track.force), track.force, np.ones(len(chosen)))
 
 
 def _divided(stretch: np.ndarray, time: np.ndarray, length: float) -> list[np.ndarray]:

@@ -4,9 +4,9 @@ Along the nose the accelerometers, less what gravity has there as the vehicle pi
 the change of the speed. In each piece of the drive the first speed, the direction of gravity and the biases are unknown
 anew; all pieces share the offset, the scale of the speed and the place of the axle whose wheels are counted, where the
 speed in bends is another than the IMU's. So the offset is estimated with all of these unknown, and its sigma is the
-larger of the least squares' own and the jackknife's over the pieces. A piece in which wheels slip fits worse than the
-others and counts less. A low pass that the speed comes through is a part of the offset; the rest of what it does shows
-where the acceleration changes. Equations: docs/configure.md, "Wheel speed".
+model's, corrected by the jackknife over the pieces as far as that tells (`regression.moderated`). A piece in which
+wheels slip fits worse than the others and counts less. A low pass that the speed comes through is a part of the offset;
+the rest of what it does shows where the acceleration changes. Equations: docs/configure.md, "Wheel speed".
 """
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from mems_ins_fusion.configuration.kinematics import InertialIntegrals
 from mems_ins_fusion.configuration.offset import FEWEST_PIECES, FLOOR, LARGEST, attempted
-from mems_ins_fusion.configuration.regression import jackknife
+from mems_ins_fusion.configuration.regression import moderated
 from mems_ins_fusion.configuration.track import Track
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import find_standstill, integral
@@ -129,11 +129,9 @@ def _estimated(raw: _Pieces) -> SpeedOffset:
         pieces, lag = _settled(replace(raw.smoothed(tau), noise=pieces.noise), float(late[best]) - tau, walk)
         late, costs = _with_low_passes(raw, pieces, lag + tau, walk)
     found = pieces.solved(lag, walk)
-    by_model = np.sqrt(np.diag(np.linalg.inv(found.normal)) * found.noise)
-    sigma = np.maximum(by_model, jackknife(found.left_out()))
-    # each offset and low pass counts by its likelihood, tempered where the jackknife does not believe the least
-    # squares' own noise
-    temper = found.noise * (sigma[0] / max(by_model[0], 1e-9)) ** 2
+    sigma = moderated(found.left_out(), found.each[:, 1:, 1:], found.prior, found.noise)
+    # each offset and low pass counts by its likelihood, tempered where the jackknife does not believe the model's noise
+    temper = sigma[0] ** 2 / np.linalg.inv(found.normal)[0, 0]
     mean, between = _averaged(late, costs / temper)
     tau, tau_sigma = _averaged(np.array(_LOW_PASSES), costs / temper)
     low_pass = LowPass(tau, math.hypot(tau_sigma, 0.5 * SPRINGS**2 / max(tau, SPRINGS)))
