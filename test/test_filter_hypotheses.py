@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.stats import chi2, multivariate_normal
 from test_filter_contradiction import BOTH, Drive, a_state
 
-from mems_ins_fusion.filter.bank import Bank, _restart_penalty
+from mems_ins_fusion.filter.bank import Bank, _is_better, _restart_penalty
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, element_at, state_at, velocity_variance
 from mems_ins_fusion.filter.trust import fix_drift
 from mems_ins_fusion.filter.trust.fix_drift import FORGETTING_TIME, FixDrift
@@ -230,8 +230,9 @@ def test_fixes_that_jump_and_come_back_are_left_and_the_ellipse_reaches_to_them(
     assert (math.sqrt(chi2.ppf(0.95, 2)) * sigma[disputed, 1] > 0.8 * 40.0).all()
 
 
-def test_what_each_statement_does_not_know_of_the_position_is_published_on_all_sides():
-    # given a filter that takes fixes for wrong, as they have jumped by 40 m, and one that has started anew from them
+def a_jump():
+    """A filter that takes fixes for wrong, as they have jumped by 40 m, one that has started anew from them, and where
+    their states begin."""
     drive = Drive()
     drive.position[drive.time > 30.0, 1] += 40.0
     drive.time, drive.samples = drive.time[:38], drive.samples[:1876]  # the last fix is of the last sample
@@ -239,6 +240,11 @@ def test_what_each_statement_does_not_know_of_the_position_is_published_on_all_s
     _, memory, _, _, _ = drive.through('planar')
     other, r = memory[int(memory[Bank.SIZE]):], state_at(memory, int(memory[Head.SAMPLES]))
     assert memory[Bank.OPEN] == 1.0 and memory[r + Hypothesis.FIXES_WRONG] == 1.0
+    return memory, other, r
+
+
+def test_what_each_statement_does_not_know_of_the_position_is_published_on_all_sides():
+    memory, other, r = a_jump()
     # then the variance of where the vehicle is by the other one, and by a wrong IMU, is added by their probability
     scores = np.array([memory[r + Hypothesis.SCORE], other[r + Hypothesis.SCORE],
                        memory[r + Hypothesis.SCORE] + memory[r + Hypothesis.IMU_NATS]])
@@ -246,6 +252,16 @@ def test_what_each_statement_does_not_know_of_the_position_is_published_on_all_s
     variance = [0.0, 0.5 * (other[element_at(other, r, 0, 0)] + other[element_at(other, r, 1, 1)]),
                 memory[r + Hypothesis.IMU_OFFSET + Offset.VARIANCE]]
     assert share[1] > 0.01 and memory[r + Hypothesis.SPREAD_VARIANCE] == pytest.approx(share @ variance, rel=0.1)
+
+
+@pytest.mark.parametrize('imu_nats, is_better', [(-0.3, True), (-3.0, False)])
+def test_fixes_are_right_where_a_filter_uses_them_and_where_the_imu_is_wrong(imu_nats, is_better):
+    # given fixes that are wrong with the probability p, right with p / e, and right beside a wrong IMU with p e^-0.3 or
+    # p e^-3: right with 1.11 p or 0.42 p
+    memory, other, r = a_jump()
+    memory[r + Hypothesis.SCORE], other[r + Hypothesis.SCORE], memory[r + Hypothesis.IMU_NATS] = 0.0, -1.0, imu_nats
+    # then the filter that uses them is published where that is more
+    assert _is_better(memory, other, r) == is_better
 
 
 @BOTH
