@@ -7,6 +7,10 @@ the estimate is off. Where that is certain, the offset has jumped by as much (A.
 generalized likelihood ratio approach to the detection and estimation of jumps in linear systems", IEEE Trans. Automatic
 Control 21, 1976; theirs is the signature in the whole filter, this one that in a filter of one state for each
 component, which sees half of a slow jump).
+
+While a vehicle speeds up from rest, a speed that is a tenth too large has nearly the same signature, and a heading that
+is off while it turns: the constant error of the input may have jumped instead. Both are made uncertain by what would
+explain the innovation, and what follows tells them apart: at a steady speed the time does not matter.
 """
 from __future__ import annotations
 
@@ -30,12 +34,17 @@ SMALLEST_JUMP = 0.05
 #: s, beside the parameter: what is further off then has another fault, as wheels that slip, and would pass for one of
 #: that; half a second, and a sigma of what nobody declares
 LARGEST_OFFSET = 0.6
+#: -, rad: up to this the constant error of an input (scale, offset of a heading) may have become another one: tyres of
+#: another size or on another ground, antennas that have turned. More is another unit, or other axes. Chosen, not
+#: measured
+LARGEST_ERROR = 0.2
 
 
 @njit(_nrt=False)
-def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
+def has_jumped(mem, r, at, n, own, dimensions, noise, variance, error):
     """Whether the innovation of the event at `at` and those before say so; the offset's variance in P of the scratch
-    is then larger by the square of the jump.
+    is then larger by the square of the jump, and that of `error`, the state of the input's constant error (-1: none),
+    by what would be as large an innovation.
 
     own: position of the input's `Seen`. noise, variance: of the innovation, of the input and of the state at r.
     """
@@ -63,6 +72,9 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
     if abs(mem[r + NAV + state] + jump) > LARGEST_OFFSET:
         return False
     mem[p + (n + 1) * state] += jump**2
+    if error >= 0 and mem[h + error] != 0.0:
+        other = jump * mem[h + state] / mem[h + error]
+        mem[p + (n + 1) * error] += min(abs(other), LARGEST_ERROR) ** 2
     mem[own + Seen.JUMP_SCORE] = mem[own + Seen.JUMP_INFORMATION] = 0.0
     reopen(mem, own, 1.0)  # what seemed to be noise may have been that
     return True

@@ -67,7 +67,7 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
     if before != 0.0 and since > LONGEST_PAUSE:  # too slow to be integrated, so nothing contradicts it
         _believe(mem, own)
     if yaw_variance > LARGEST_YAW_SIGMA**2:
-        _forget_share(mem, own)
+        forget_share(mem, own)
         interrupt(mem, own)
     if not 0.0 < since <= LONGEST_PAUSE:
         interrupt(mem, own)
@@ -83,13 +83,13 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
 @njit(_nrt=False)
 def forget(mem, own):
     """An input has become another one: it is wrong until it is known to be right."""
-    _forget_share(mem, own)
+    forget_share(mem, own)
     interrupt(mem, own)
     mem[own + Seen.COMPARED] = -1.0
 
 
 @njit(_nrt=False)
-def _forget_share(mem, own):
+def forget_share(mem, own):
     """Nothing is known of the share but the prior."""
     mem[own + Seen.SHARE] = mem[own + Seen.SHARE + 1] = mem[own + Seen.REDUCED] = 0.0
 
