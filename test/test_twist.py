@@ -43,9 +43,10 @@ def test_the_turn_rate_may_count_the_other_way_or_have_a_track_that_is_not_known
     other = replace(right, twist=right.twist * [1, 1, turn])
     result = run(config(), recording.imu, recording.gnss, Aiding(twist=other))
     # then its scale is found, and within its sigma; the simulator's own is 3 %
-    found, sigma = result.extras[-1, -3], result.sigma[-1, -3]
-    assert result.config.layout.names[-4:] == ('twist_scale', 'twist_turn_scale', 'twist_yaw', 'twist_time_offset')
-    own = run(config(), recording.imu, recording.gnss, Aiding(twist=right)).extras[-1, -3]
+    layout = result.config.layout
+    at, sigma = layout.extras.index('twist_turn_scale'), result.sigma[-1, layout.index('twist_turn_scale')]
+    found = result.extras[-1, at]
+    own = run(config(), recording.imu, recording.gnss, Aiding(twist=right)).extras[-1, at]
     assert found == pytest.approx((1.0 + own) * turn - 1.0, abs=4.0 * sigma) and sigma < 0.03
     assert found == pytest.approx(scale, abs=0.1 * abs(turn) + 4.0 * sigma)
     # and the gyroscope's bias is the same
