@@ -333,8 +333,8 @@ def through(kind, value, r, seconds, rate=1.0, fixes=False, velocity=(0.0, 0.0, 
 
 @pytest.mark.parametrize('off', [0.5, 1.5, 3.0])
 def test_headings_bring_back_a_filter_that_is_sure_of_a_wrong_one(off):
-    # given a filter whose heading is wrong by many sigma, and two minutes of headings that agree with each other
-    config, memory = through(Kind.HEADING, 0.7 + off, 0.03**2, 120.0)
+    # given a filter whose heading is wrong by many sigma, and sixty headings that agree with each other
+    config, memory = through(Kind.HEADING, 0.7 + off, 0.03**2, 60.0)
     error = math.remainder(newest(memory)[Nav.YAW] - 0.7 - off, 2 * math.pi)
     sigma = math.sqrt(state_and_covariance(config, memory)[1][4, 4])
     # then it has come to them, or says that it does not know

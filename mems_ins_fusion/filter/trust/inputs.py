@@ -36,9 +36,8 @@ REFUSE_ALL = 1e-9
 #: s for which errors of a speed, velocity or odometry last: manoeuvres in which wheels slip and late stamps show, the
 #: smoothing of receivers. All of that time tell no more than one (0.3 s late, 60 s without fixes: 7 m, 28 m if white)
 SPEED_CORRELATION = 1.0
-#: the same of a heading and of a magnetic field: reflections at antennas, a mount that has turned, what a slow vehicle
-#: passes. White at 10 Hz, a heading 5 degrees off turned the vehicle within seconds
-HEADING_CORRELATION = 10.0
+#: the same of a magnetic field: what a slow vehicle passes
+FIELD_CORRELATION = 10.0
 #: s for which a speed that has fitted and then is far off is one of wheels that slip, without fixes, too; what lasts
 #: for longer may be right, and the state wrong
 LONGEST_SLIP = 5.0
@@ -84,7 +83,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
     since = time - mem[own + Scale.TIME]
     if _is_uncompared(mem, r, at):
         return _before_comparison(mem, at, own, since)
-    correlation = SPEED_CORRELATION if is_of_velocity(kind) else HEADING_CORRELATION if is_of_heading(kind) else 0.0
+    correlation = SPEED_CORRELATION if is_of_velocity(kind) else FIELD_CORRELATION if kind == Kind.MAGNETIC else 0.0
     density = _repeated(correlation, since)
     claimed = mem[at + Event.R_NN] if dimensions == 1 else 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     before = max(scale(mem, own), 1.0)
@@ -135,7 +134,7 @@ def _before_comparison(mem, at, own, since):
     """Factor, how many tell no more than one, and gate of an input that has not been compared with fixes yet."""
     kind, first, correlation = int(mem[at + Event.KIND]), UNCOMPARED_SIGMA, SPEED_CORRELATION
     if kind == Kind.HEADING:  # what is wrong with it does not change from one to the next
-        first, correlation = UNCOMPARED_HEADING_SIGMA, HEADING_CORRELATION
+        first, correlation = UNCOMPARED_HEADING_SIGMA, FIELD_CORRELATION
     mem[own + Scale.TIME] = mem[at + Event.TIME]
     # a velocity may fit by its size and point elsewhere
     gate = REFUSE_ALL if kind == Kind.VELOCITY else ROBUST
