@@ -101,7 +101,7 @@ class Model:
     def twist(self, e):
         def at_axle(state):
             velocity, attitude = self.true(state)
-            axle = AXLE + np.array([self.of(state, 'axle_x'), 0.0, 0.0])
+            axle = AXLE + np.array([self.of(state, 'axle_x'), self.of(state, 'axle_y'), 0.0])
             return (attitude * self.sits).inv().apply(velocity) + np.cross(self.rate, axle)
 
         def turn_rate(state):  # of which the scale may be large, and is one with the gyroscope's error

@@ -397,21 +397,40 @@ def off_with_fixes(recording, measured, after=30.0):
     return off[result.stamp > recording.imu.stamp[0] + after * SECOND], result
 
 
-@pytest.mark.parametrize('share', [1.1, 0.62])
-def test_a_speed_that_becomes_another_one_does_not_make_the_filter_refuse_the_fixes_for_long(share):
+def test_a_speed_that_becomes_one_of_another_unit_does_not_make_the_filter_refuse_the_fixes_for_long():
     for seed in (2, 3):
-        # given wheels that turn by a tenth more than they roll from 80 s on, as on grass; or another unit
+        # given a wheel speed that has another unit from 80 s on
         recording = drive(seed)
-        speed = recording.speed
-        at = (speed.stamp - speed.stamp[0]) / SECOND
-        changed = replace(speed, speed=speed.speed * np.where(at > 80.0, share, 1.0))
-        off, result = off_with_fixes(recording, {'speed': changed})
+        off, result = off_with_fixes(recording, {'speed': changed(recording.speed, 80.0, 0.62)})
         # then it is refused as not the way between the fixes, and the filter is where these are
         of_speed = result.measured.kind == Kind.SPEED
-        since = (result.measured.stamp[of_speed] - speed.stamp[0]) / SECOND
+        since = (result.measured.stamp[of_speed] - recording.speed.stamp[0]) / SECOND
         refused = result.measured.event[of_speed, Event.VERDICT] == Verdict.CONTRADICTED
         assert not refused[since < 80.0].any() and refused[since > 120.0].all()
         assert np.sqrt(np.mean(off[-50 * 60:] ** 2)) < 2.0  # the last minute
+
+
+def changed(speeds, begin, share):
+    """`speeds` that are `share` times as large from `begin`, s, on."""
+    return replace(speeds, speed=speeds.speed * np.where((speeds.stamp - speeds.stamp[0]) / SECOND > begin, share, 1.0))
+
+
+@pytest.mark.parametrize('share', [1.1, 0.93])
+def test_a_speed_that_becomes_a_tenth_larger_has_another_scale(share):
+    for seed in (2, 3, 7):
+        # given wheels that turn by some percent more or less than they roll from 80 s on, as on grass
+        recording = drive(seed)
+        (off, result), (_, before) = (off_with_fixes(recording, {'speed': speeds}) for speeds in (
+            changed(recording.speed, 80.0, share), recording.speed))
+        without, _ = off_with_fixes(recording, {})
+        # then that is found, as sure as it says, the speed is used, and the position is as good as without it at least
+        at = result.config.layout.extras.index('speed_scale')
+        scale, sigma = result.extras[-1, at], result.sigma[-1, result.config.layout.index('speed_scale')]
+        assert 1.0 + scale == pytest.approx(share * (1.0 + before.extras[-1, at]), abs=4.0 * sigma) and sigma < 0.01
+        of_speed = result.measured.event[result.measured.kind == Kind.SPEED, Event.VERDICT]
+        assert np.isin(of_speed[-400:], (Verdict.USED, Verdict.WEIGHTED)).mean() > 0.95
+        last_minute = slice(-50 * 60, None)
+        assert rms(off[last_minute]) < 1.1 * rms(without[last_minute]) + 0.1
 
 
 def test_a_heading_that_is_mounted_some_degrees_off_is_worth_as_much():

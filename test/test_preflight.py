@@ -19,26 +19,32 @@ class Played:
     """A recording of 100 Hz and 4 Hz whose messages come `rate` times as fast as they were recorded.
 
     newer: s, by which a fix is stamped after the newest sample when it comes. After 6 s by the clock it has been seen.
+    silent: s, whole ones, before the first message. said: texts.
     """
 
-    def __init__(self, monkeypatch, rate, newer, **values):
+    def __init__(self, monkeypatch, rate, newer, silent=0, **values):
         self.now = 100.0
         monkeypatch.setattr(preflight.time, 'monotonic', lambda: self.now)
         inputs = [SimpleNamespace(name=name, topic_name=f'/{name}', kind='a type', qos_problem=lambda: '',
+                                  why_silent=lambda: 'nobody publishes it',
                                   traffic=Traffic(3.0, lambda: STARTED + 10**17 + round(self.now * SECOND),
                                                   clock=lambda: self.now)) for name in ('imu', 'fix')]
         looks = Preflight(inputs, {**table.defaults(), **values})
-        said = None
+        told = []
+        for second in range(silent):
+            self.now = 100.0 + second
+            told.append(looks.look(None))
         for k in range(round(700 * rate)):
-            self.now = 100.0 + k / (100 * rate)
+            self.now = 100.0 + silent + k / (100 * rate)
             self._take(inputs[0], k / 100)
             if k % 25 == 7:
                 looks.add_fix(self._take(inputs[1], k / 100 + newer))
             if k % round(100 * rate) == 0:
-                for told in inputs:
-                    told.traffic.look(1)
-                said = said or looks.look(None)
-        self.clocks = next(line for line in said[1].splitlines() if line.strip().startswith('clocks'))
+                for one in inputs:
+                    one.traffic.look(1)
+                told.append(looks.look(None))
+        self.said = [one[1] for one in told if one is not None]
+        self.clocks = next(line for line in self.said[-1].splitlines() if line.strip().startswith('clocks'))
 
     @staticmethod
     def _take(told, seconds) -> int:
@@ -86,3 +92,14 @@ def test_without_a_fix_there_is_nothing_to_compare(monkeypatch):
     looks.add_fix(STARTED)
     now[0] = 13.0
     assert 'nothing to compare' in looks.look(None)[1]
+
+
+@pytest.mark.parametrize('silent', [0, 9, 11, 30])
+def test_messages_that_begin_later_are_judged_when_they_have_come_for_some_seconds(monkeypatch, silent):
+    # given a node that is started before its drivers, or before a recording is played
+    played = Played(monkeypatch, 1.0, 0.0, silent)
+    # then what comes in is told once, with its rate, and before that, once, where nothing has come for long
+    assert len(played.said) == (2 if silent > preflight.AT_THE_LATEST else 1)
+    assert 'no message' not in played.said[-1] and 'needs 20 Hz' not in played.said[-1]
+    assert '100 Hz' in played.said[-1]
+    assert all('no message' in text for text in played.said[:-1])

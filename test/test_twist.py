@@ -43,9 +43,10 @@ def test_the_turn_rate_may_count_the_other_way_or_have_a_track_that_is_not_known
     other = replace(right, twist=right.twist * [1, 1, turn])
     result = run(config(), recording.imu, recording.gnss, Aiding(twist=other))
     # then its scale is found, and within its sigma; the simulator's own is 3 %
-    found, sigma = result.extras[-1, -3], result.sigma[-1, -3]
-    assert result.config.layout.names[-4:] == ('twist_scale', 'twist_turn_scale', 'twist_yaw', 'twist_time_offset')
-    own = run(config(), recording.imu, recording.gnss, Aiding(twist=right)).extras[-1, -3]
+    layout = result.config.layout
+    at, sigma = layout.extras.index('twist_turn_scale'), result.sigma[-1, layout.index('twist_turn_scale')]
+    found = result.extras[-1, at]
+    own = run(config(), recording.imu, recording.gnss, Aiding(twist=right)).extras[-1, at]
     assert found == pytest.approx((1.0 + own) * turn - 1.0, abs=4.0 * sigma) and sigma < 0.03
     assert found == pytest.approx(scale, abs=0.1 * abs(turn) + 4.0 * sigma)
     # and the gyroscope's bias is the same
@@ -121,3 +122,22 @@ def test_the_angle_of_an_odometry_is_found_by_filter_configure_and_checker(yaw, 
     large = [f for f in check_setup(made, table.check({**values, 'twist.yaw': 0.0})) if 'set twist.yaw' in f.message]
     assert len(large) == (abs(yaw) > SMALL_YAW)
     assert not [f for f in check_setup(made, table.check(values)) if 'set twist.yaw' in f.message]
+
+
+def test_wheels_beside_the_imu_are_found_and_not_taken_for_late_stamps():
+    # given a vehicle whose IMU sits 0.6 m to the left of the middle of its axle: in a bend it is faster or slower
+    made = simulate_recording(
+        simulate_drive(240.0, 4, 50.0, standstill=20.0, axle_to_imu=(1.0, -0.6, 0.0)), SensorErrors.from_parameters(
+            table.defaults(), 'gauss_markov'), GnssNoise(0.5, 2.0), seed=4,
+        aiding=SimulatedAiding(twist_rate=20.0)).recording
+    # when the filter knows nothing of it
+    result = run(config(), made.imu, made.gnss, Aiding(twist=made.others['twist']))
+    # then it is a state, as sure as it says, and the odometry's stamps are right
+    found = {name: (value, result.sigma[-1, result.config.layout.index(name)])
+             for name, value in zip(result.config.layout.extras, result.extras[-1])}
+    across, sigma = found['axle_y']
+    assert across == pytest.approx(0.6, abs=4.0 * sigma) and sigma < 0.15
+    late, sigma = found['twist_time_offset']
+    assert late == pytest.approx(0.0, abs=4.0 * sigma) and sigma < 0.03
+    # and it is one state where there is a wheel speed, too
+    assert config(speed_topic='/speed').layout.extras.count('axle_y') == 1

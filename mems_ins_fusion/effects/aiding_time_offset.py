@@ -21,9 +21,10 @@ class AidingTimeOffset(Effect):
     looks_the_same = 'a low pass in the sensor, its driver or the bus, late by its time constant, looks nearly the same'
     parameters = (EffectParameter('time_offset', 's', 0.1),)
 
-    def __init__(self, of: str, signature: str, in_words: str, to_check: str, leaves: str = ''):
-        self.of, self.name = of, f'{of}_time_offset'
-        self.signature, self.in_words, self.to_check, self.leaves = signature, in_words, to_check, leaves
+    def __init__(self, of: str, signature: str, in_words: str, to_check: str, called: str = ''):
+        """called: what `of` is in words, where it is not its own name."""
+        self.of, self.name, self._called = of, f'{of}_time_offset', called or of
+        self.signature, self.in_words, self.to_check = signature, in_words, to_check
 
     def measured_times(self, name, time, values):
         return time - values['time_offset'] if name == self.of else time
@@ -33,6 +34,9 @@ class AidingTimeOffset(Effect):
 
     def adjusted(self, values, theta):
         return added(values, f'{self.of}.time_offset', change=theta['time_offset'])
+
+    def leaves(self, values):
+        return '' if f'{self.of}.lag' in values else _NOT_MODELLED.format(self._called)
 
 
 def missing(name: str, values: Mapping, recording) -> str:
@@ -82,19 +86,16 @@ TIME_OFFSETS = (
                      'and over how long it averages'),
     AidingTimeOffset('velocity', 'innovations along and across the track in proportion to the acceleration',
                      "the stamps of the receiver's velocity are off against those of its fixes",
-                     'whether the receiver smooths its velocity, and what its driver stamps',
-                     _NOT_MODELLED.format('velocity')),
+                     'whether the receiver smooths its velocity, and what its driver stamps'),
     AidingTimeOffset('twist', 'innovations along the track at each change of speed, in proportion to the acceleration',
                      'the odometry comes late',
                      'what the driver of the odometry stamps, and over how long it computes'),
     AidingTimeOffset('heading', 'a heading that is off in proportion to the turn rate', 'the heading comes late',
                      'whether the compass or the receiver smooths its heading, and what its driver stamps'),
     AidingTimeOffset('magnetometer', 'a magnetic field that is off in proportion to the turn rate',
-                     'the magnetometer comes late', 'whether the magnetometer averages, and what its driver stamps',
-                     _NOT_MODELLED.format('magnetometer')),
+                     'the magnetometer comes late', 'whether the magnetometer averages, and what its driver stamps'),
     AidingTimeOffset('pressure', 'heights that are off in proportion to the climb', 'the pressure comes late',
-                     'whether the pressure sensor averages, or air comes to it slowly, and what its driver stamps',
-                     _NOT_MODELLED.format('pressure')),
+                     'whether the pressure sensor averages, or air comes to it slowly, and what its driver stamps'),
 )
 
 
@@ -102,4 +103,5 @@ def time_offset_of(name: str) -> AidingTimeOffset:
     """The time offset of the input called `name` in a params file."""
     return AidingTimeOffset(name, 'innovations in proportion to how fast what it measures changes',
                             f"the stamps of the input '{name}' are off",
-                            f"what the driver of the input '{name}' stamps, and over how long it averages")
+                            f"what the driver of the input '{name}' stamps, and over how long it averages",
+                            f"input '{name}'")

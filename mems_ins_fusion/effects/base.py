@@ -66,8 +66,6 @@ class Effect:
     to_check: str = ''
     #: and which other effects a single drive may not distinguish from it
     looks_the_same: str = ''
-    #: what of the same cause its correction leaves, as the filter has no model of that
-    leaves: str = ''
     #: the size of a parameter in words, with {} for the number: for a positive value, and for a negative one
     sizes: Mapping[str, tuple[str, str]] = {}
     #: the largest plausible size of each parameter, in its unit, and what the cause of a larger one is
@@ -170,6 +168,10 @@ class Effect:
         they are unknown; for effects that need it.
         """
         return self.adjusted(values, theta), recording
+
+    def leaves(self, values: Mapping) -> str:
+        """What of the same cause its correction leaves, as the filter has no model of that. values: parameters."""
+        return ''
 
     def hidden(self, values: dict, recording) -> str:
         """Why this recording, filtered with these parameters, contains no information on the effect; empty if it does.

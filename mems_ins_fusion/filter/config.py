@@ -411,7 +411,7 @@ def _extras(values: dict, is_level: bool) -> tuple[Extra, ...]:
         extras += [Extra(name, coloured, coloured.sigma) for name in ('coloured_n', 'coloured_e')]
 
     def slow(name, sigma, walk=0.0):
-        if sigma > 0 or walk > 0:
+        if (sigma > 0 or walk > 0) and all(extra.name != name for extra in extras):
             walk = walk or MOUNTING_WANDER * sigma / math.sqrt(3600.0)
             extras.append(Extra(name, RandomWalk(walk, sigma), sigma))
 

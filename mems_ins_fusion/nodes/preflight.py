@@ -15,7 +15,7 @@ from .inputs import Input
 
 #: s after the first sample at which the block is logged, if a fix has come by then
 AFTER_SAMPLE = 5.0
-#: s after the start at which it is logged in any case
+#: s after the start at which it is logged without a fix, or without any sample: then once more when these have come
 AT_THE_LATEST = 12.0
 #: s: stamps that differ more from the node's clock are of another clock
 _OTHER_CLOCK = 1.0
@@ -29,13 +29,14 @@ _TILT = math.radians(15.0)
 
 
 class Preflight:
-    """Reports the inputs once. inputs: of the node, the IMU and the fixes first."""
+    """Reports the inputs once, and before that, once, that no sample comes. inputs: of the node, the IMU and the fixes
+    first."""
 
     def __init__(self, inputs: Sequence[Input], values: dict):
         self._inputs, self._values = inputs, values
         self._began, self._sampled = time.monotonic(), None
         self._ages: list[float] = []  # s, from the stamp of each fix to that of the newest sample when it came
-        self._done = False
+        self._done = self._said_silent = False
 
     def add_fix(self, stamp: int) -> None:
         """A fix with this stamp, ns, has come."""
@@ -44,14 +45,16 @@ class Preflight:
             self._ages.append((imu.stamp - stamp) * 1e-9)
 
     def look(self, force: np.ndarray | None) -> tuple[str, str] | None:
-        """Once: level and text. force: (3,) mean specific force of the last second, m/s^2, sensor axes."""
+        """Level and text. force: (3,) mean specific force of the last second, m/s^2, sensor axes."""
         now, (imu, fix) = time.monotonic(), self._inputs[:2]
         if self._sampled is None and imu.traffic.count:
             self._sampled = now
-        ripe = self._sampled is not None and fix.traffic.count and now - self._sampled > AFTER_SAMPLE
-        if self._done or not (ripe or now - self._began > AT_THE_LATEST):
+        late = now - self._began > AT_THE_LATEST
+        ripe = self._sampled is not None and now - self._sampled > AFTER_SAMPLE and (fix.traffic.count or late)
+        silent = self._sampled is None and late and not self._said_silent
+        if self._done or not (ripe or silent):
             return None
-        self._done = True
+        self._done, self._said_silent = bool(ripe), True
         lines = [(f'{i.topic_name} ({i.name})', *self._input(i)) for i in self._inputs]
         if force is not None:
             lines += [('units', *_units(force)), ('mounting', *self._mounting(force))]

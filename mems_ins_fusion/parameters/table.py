@@ -164,7 +164,7 @@ FILTER = (
               maximum=20.0),
     Parameter('vehicle.rear_axle_sigma', 1.0, 'm', 'Standard deviation of the forward component of '
               'vehicle.rear_axle, which is estimated (with vehicle.non_holonomic), and of its lateral component, which '
-              'is estimated with a speed; 0: it is exact.', minimum=0.0, maximum=10.0),
+              'is estimated with a speed or an odometry of wheels; 0: it is exact.', minimum=0.0, maximum=10.0),
     Parameter('vehicle.tilt_sigma', 0.05, 'rad', 'Standard deviation of slope and body roll, which the planar '
               'mechanization does not estimate; strapdown does not use it.', minimum=0.0, maximum=0.3),
     Parameter('horizon.limit', 5.0, 'm', 'Limit of the trust horizon, which is the time and the distance without fixes '

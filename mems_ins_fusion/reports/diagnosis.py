@@ -279,7 +279,7 @@ def unexplained_text(d: Diagnosis) -> str:
         seen = ', or of the '.join(f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)'
                                    for r in d.rest[:3])
         text = f'{text}. What is left looks like an error of the {seen}.'
-    causes = [leaves(f.name) for f in d.findings if f.added and leaves(f.name)]
+    causes = [left for f in d.findings if f.added and (left := leaves(f.name, d.values))]
     return f'{text} It may come from {", or ".join(causes)}.' if causes else text
 
 

@@ -5,6 +5,7 @@ The words are attributes of the effect itself.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from ..diagnosis.estimate import Estimate, with_sigma
 from ..effects.registry import effect_called
@@ -25,9 +26,10 @@ def looks_the_same(name: str) -> str:
     return effect_called(name).looks_the_same
 
 
-def leaves(name: str) -> str:
-    """What a correction of the effect `name` may leave of its cause; '' if the filter has a complete model of it."""
-    return effect_called(name).leaves
+def leaves(name: str, values: Mapping) -> str:
+    """What a correction of the effect `name` may leave of its cause; '' if the filter has a complete model of it.
+    values: checked parameters."""
+    return effect_called(name).leaves(values)
 
 
 def size(name: str, parameter: str, estimate: Estimate) -> str:

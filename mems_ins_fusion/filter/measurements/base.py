@@ -153,6 +153,11 @@ class Measurement:
         (0: that of a mounting angle, `config.MOUNTING_WANDER`)."""
         return {}
 
+    def axle_states(self, values: Mapping) -> dict[str, tuple[float, float]]:
+        """The lateral offset of the axle from the IMU, as `states`, of wheels without a lever arm of their own: in a
+        bend it changes their speed. All of them share it."""
+        return {'axle_y': (values['vehicle.rear_axle_sigma'], 0.0)} if self.is_plain else {}
+
     def declared(self, settings: SensorSettings, samples):
         """`samples` converted by the settings (units, sign, known constant error)."""
         return samples

@@ -61,9 +61,7 @@ class Speed(Measurement):
                       'error, which is estimated; 0: none remains.', minimum=0.0, maximum=0.5))
 
     def states(self, values):
-        # lateral offset of the wheels from the IMU: in a bend their speeds differ
-        across = {'axle_y': (values['vehicle.rear_axle_sigma'], 0.0)} if self.is_plain else {}
-        return {self.state: (values[f'{self.name}.scale_sigma'], 0.0), **across}
+        return {self.state: (values[f'{self.name}.scale_sigma'], 0.0), **self.axle_states(values)}
 
     @property
     def state(self):

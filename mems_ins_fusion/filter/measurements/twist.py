@@ -38,6 +38,9 @@ def observe(mem, r, at, h, n, c, sample):
     mem[at + Event.Z_N] = forward - mem[at + Event.VALUE]
     add_time_offset(mem, at, h, along(acceleration(mem, r), c, 0))
     add_body_velocity(mem, r, h, c, 0, 1.0)
+    across = int(mem[Head.AXLE_ACROSS])
+    if across >= 0 and mem[at + Event.AT_AXLE] != 0.0:
+        mem[h + across] = w_z
     if scale >= 0:
         mem[h + scale] = -forward
     mem[at + Event.Z_E] = mem[at + Event.Z_D] = 0.0
@@ -117,7 +120,7 @@ class Twist(Measurement):
     def states(self, values):
         return {self.state: (values[f'{self.name}.scale_sigma'], 0.0),
                 f'{self.name}_turn_scale': (values[f'{self.name}.turn_scale_sigma'], 0.0),
-                f'{self.name}_yaw': (values[f'{self.name}.yaw_sigma'], 0.0)}
+                f'{self.name}_yaw': (values[f'{self.name}.yaw_sigma'], 0.0), **self.axle_states(values)}
 
     @property
     def state(self):

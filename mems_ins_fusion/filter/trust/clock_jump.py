@@ -9,6 +9,10 @@ increased by its square.
 Source: A. S. Willsky and H. L. Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps
 in linear systems", IEEE Trans. Automatic Control 21, 1976. There the signature is that of the whole filter. Here it is
 that of a filter with one state for each component, with which half of a slow jump is detected.
+
+While a vehicle speeds up from rest, a speed that is a tenth too large has nearly the same signature, and a heading that
+is off while it turns: the constant error of the input may have jumped instead. Both are made uncertain by what would
+explain the innovation, and later measurements tell them apart: at a steady speed the time does not matter.
 """
 from __future__ import annotations
 
@@ -33,12 +37,17 @@ SMALLEST_JUMP = 0.05
 #: s, largest time offset after a jump, relative to the configured one: half a second, plus one sigma of an undeclared
 #: offset. A larger one is another fault, such as wheels that slip
 LARGEST_OFFSET = 0.6
+#: -, rad: up to this the constant error of an input (scale, offset of a heading) may have become another one: tyres of
+#: another size or on another ground, antennas that have turned. More is another unit, or other axes. Chosen, not
+#: measured
+LARGEST_ERROR = 0.2
 
 
 @njit(_nrt=False)
-def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
+def has_jumped(mem, r, at, n, own, dimensions, noise, variance, error):
     """Whether the innovations up to the event at `at` show a jump. Then the variance of the offset in P of the scratch
-    is increased by the square of the jump.
+    is increased by the square of the jump, and that of `error`, the state of the input's constant error (-1: none), by
+    what would cause the same innovation.
 
     own: position of the input's `Seen`. noise, variance: parts of the variance of the innovation, by the input and by
     the state at r.
@@ -67,6 +76,9 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
     if abs(mem[r + NAV + state] + jump) > LARGEST_OFFSET:
         return False
     mem[p + (n + 1) * state] += jump**2
+    if error >= 0 and mem[h + error] != 0.0:
+        other = jump * mem[h + state] / mem[h + error]
+        mem[p + (n + 1) * error] += min(abs(other), LARGEST_ERROR) ** 2
     mem[own + Seen.JUMP_SCORE] = mem[own + Seen.JUMP_INFORMATION] = 0.0
     reopen(mem, own, 1.0)  # innovations before it may have been caused by the jump, and not by noise
     return True

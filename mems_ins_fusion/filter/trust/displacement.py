@@ -71,7 +71,7 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
     if before != 0.0 and since > LONGEST_PAUSE:  # too slow to be integrated: accepted without a comparison
         _accept(mem, own)
     if yaw_variance > LARGEST_HEADING_SIGMA**2:
-        _forget_share(mem, own)
+        forget_share(mem, own)
         interrupt(mem, own)
     if not 0.0 < since <= LONGEST_PAUSE:
         interrupt(mem, own)
@@ -87,13 +87,13 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
 @njit(_nrt=False)
 def forget(mem, own):
     """Begin the comparison of an input anew after it has changed; until it is complete, the input counts as wrong."""
-    _forget_share(mem, own)
+    forget_share(mem, own)
     interrupt(mem, own)
     mem[own + Seen.COMPARED] = -1.0
 
 
 @njit(_nrt=False)
-def _forget_share(mem, own):
+def forget_share(mem, own):
     """Reset the share to its prior."""
     mem[own + Seen.SHARE] = mem[own + Seen.SHARE + 1] = mem[own + Seen.REDUCED] = 0.0
 

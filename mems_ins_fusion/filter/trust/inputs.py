@@ -14,7 +14,8 @@ from ..measurements.geometry import angular_rate, arm_of, body_velocity, rotate,
 from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
 from . import clock_jump, contradiction, displacement, hypotheses, receiver, repeats
-from .scale import Scale, Seen, learn_changes, scale, seen_of
+from .clock_jump import LARGEST_ERROR
+from .scale import Scale, Seen, learn_changes, reopen, scale, seen_of
 from .standstill import SLOWEST_SPEED
 
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
@@ -76,6 +77,9 @@ def factor_and_limits(mem, r, at, n, dimensions):
     _note_wrong_displacement(mem, r, at, n)
     if is_contradicted(mem, r, at):
         return 1.0, 1.0, REFUSE_ALL
+    if has_displacement(kind) and mem[own + Seen.FITTED] < 0.0:  # used again, maybe not as the one it was
+        mem[own + Seen.FITTED] = 0.0
+        _make_error_uncertain(mem, at, n, own)
     since = time - mem[own + Scale.TIME]
     if _is_uncompared(mem, r, at):
         return _before_comparison(mem, at, own, since)
@@ -89,7 +93,8 @@ def factor_and_limits(mem, r, at, n, dimensions):
     if kind == Kind.SPEED and _alternates(mem, r, at, n, own, squared, variance + noise):
         noise = max(noise, squared - variance)
     slips = has_displacement(kind) and _slips(mem, own, kind, time, since, squared, variance + noise)
-    if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance):
+    if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance,
+                                           _constant_error(mem, at)):
         squared, variance = _innovation(mem, r, at, n, dimensions)
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < LONGEST_WITHOUT_FIX
     if kind == Kind.PLACE:
@@ -105,7 +110,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
     factor = max(scale(mem, own), 1.0) + unknown / claimed
     if has_displacement(kind):
         fitted = _has_fitted(mem, own, kind, time)
-        refused = _refuses(mem, own, kind, time, since, squared, variance + noise, slips, confirmed)
+        refused = _refuses(mem, at, n, own, time, since, squared, variance + noise, slips, confirmed)
         if refused or confirmed or fitted:  # one by one each is judged by what it claims itself
             gate = GATE * math.sqrt((variance + noise) / (variance + factor * claimed))
             return factor, density, REFUSE_ALL if refused else gate
@@ -193,19 +198,35 @@ def _slips(mem, own, kind, time, since, squared, expected):
 
 
 @njit(_nrt=False)
-def _refuses(mem, own, kind, time, since, squared, expected, slips, confirmed):
+def _refuses(mem, at, n, own, time, since, squared, expected, slips, confirmed):
     """Whether a speed, velocity, odometry or heading is refused: it slips, or is far off for longer than a slip lasts
-    while fixes confirm the state. Notes that it has fitted, and ends its displacement where it slips."""
+    while fixes confirm the state, by more than its constant error can be. Notes that it has fitted, and ends its
+    displacement where it slips."""
+    kind, error = int(mem[at + Event.KIND]), _constant_error(mem, at)
     lasts, far_off = _goes_on_slipping(mem, own, kind, time, since), _is_far_off(kind, squared, expected)
     if squared < ROBUST * ROBUST * expected:
         mem[own + Seen.FITTED] = time
     if confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0:  # no slip lasts for so long
+        if error >= 0 and squared < (LARGEST_ERROR * mem[int(mem[Head.SCRATCH_AT]) + n * n + error]) ** 2:
+            _make_error_uncertain(mem, at, n, own)
+            return False
         mem[own + Seen.FITTED] = 0.0
         displacement.forget(mem, own)
         return True
     if lasts and far_off and kind != Kind.VELOCITY:
         displacement.interrupt(mem, own)
     return slips
+
+
+@njit(_nrt=False)
+def _make_error_uncertain(mem, at, n, own):
+    """The constant error of the input at `at`, where it has one, may have become another one; what its displacements
+    have shown is of the one before, and what seemed to be noise may have been that."""
+    error = _constant_error(mem, at)
+    if error >= 0:
+        mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error] += LARGEST_ERROR**2
+        displacement.forget_share(mem, own)
+        reopen(mem, own, 1.0)
 
 
 @njit(_nrt=False)
@@ -279,6 +300,8 @@ def _note_wrong_displacement(mem, r, at, n):
     error, tolerated = _constant_error(mem, at), displacement.TOLERATED_SHARE
     if error >= 0:
         tolerated = displacement.SHARE_SIGMAS * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
+        if mem[own + Seen.FITTED] < 0.0:  # refused already: it may be one with another constant error
+            tolerated = max(tolerated, LARGEST_ERROR)
     if displacement.differs(mem, own, kind, tolerated):
         # it has misled the state where it was used since the fix before: one that was refused has not
         fitted = mem[own + Seen.FITTED]
