@@ -1,13 +1,12 @@
 """Two filters in one memory: the first, which is published, and a second, which assumes that the fixes are wrong.
 
-The second filter follows the first in the memory and has the same size. It exists while `Bank.OPEN` is 1, and receives
-the same samples and measurements. After each fix the scores of both (log likelihoods, `trust/hypotheses.py`) are
-compared. The second filter is dropped when its score is too low, or when both agree. It becomes the first when its
-score is better and it uses the fixes, or when the first follows fixes that drift away (`trust/fix_drift.py`).
+The second filter is stored after the first, has the same size, and receives the same samples and measurements while
+`Bank.OPEN` is 1. After each fix the scores of both (log likelihoods, `trust/hypotheses.py`) are compared. The second
+filter is dropped when its score is too low, or when both agree. It becomes the first when its score is better and it
+uses the fixes, or when the first follows fixes that drift away (`trust/fix_drift.py`).
 
-When the first filter has refused several fixes in a row, either these fixes are wrong, or the fixes before them were,
-or the filter is. The first then assumes that the fixes are wrong, the second starts anew from them, and the scores
-decide.
+When the first filter has refused several fixes in a row, these fixes, the earlier ones, or the filter are wrong. The
+first filter then assumes that the fixes are wrong, the second starts anew from them, and the scores decide.
 """
 from __future__ import annotations
 
@@ -51,21 +50,21 @@ Bank = HEAD.place(
     SIZE=1,  # floats of one filter; 0: there is no room for a second one
     OPEN=1,  # 1: there is a second filter
     COMPARED=1,  # s: time of the latest fix after which both were compared
-    WRONG_SINCE=1,  # s: time since which the fixes are wrong, as the filter that refuses them assumes
-    SEARCHED=1,  # 1: earlier values of BEGUN have been tried (`_search_begin`)
+    WRONG_SINCE=1,  # s: time since which the fixes are wrong, under the hypothesis of the filter that refuses them
+    SEARCHED=1,  # 1: earlier values of WRONG_SINCE have been tried (`_search_begin`)
     SCATTER=1)  # realised over claimed variance of the fixes when the second filter began, 1 at least
 
-#: s before the first fix that did not fit: times since which the fixes, or the IMU, may be wrong, tried by
-#: `_search_begin`. Fixes that drift away fit at first
+#: s before the first fix that did not fit: begins of a fault that `_search_begin` tries. Fixes that drift away, and
+#: those after an IMU fault, fit at first
 EARLIER = (0.0, 2.0, 4.0, 8.0)
-#: nats: earlier times are tried only for a second filter that is behind by less (a trial takes 1 ms for 8 s at 100 Hz);
-#: and a second filter that uses no fixes has to be better by more. Chosen, not measured
+#: nats: earlier begins are tried only if the second filter's score is lower by less (a trial takes 1 ms for 8 s at 100
+#: Hz), and a second filter that uses no fixes is published only if its score is higher by more. Chosen, not measured
 SERIOUS_NATS = 4.0
 #: both filters agree where the square of each difference of position, velocity and heading is below this share of the
 #: smaller variance. Chosen, not measured
 AGREED_SHARE = 0.1
-#: share of `gnss.recovery_time` for which a filter that starts anew from fixes refused for that long still has to fit
-#: them before it is as likely as the first filter (`_restart_penalty`). Chosen, not measured
+#: share of `gnss.recovery_time` that remains for the decay of `_restart_penalty` when a filter starts anew from fixes
+#: that have been refused for that long. Chosen, not measured
 FITTING_SHARE = 0.5
 
 
@@ -82,8 +81,9 @@ def copied(memory: np.ndarray, to: np.ndarray) -> np.ndarray:
 
 @njit(_nrt=False)
 def compare(memory):
-    """Once after each fix: begin a second filter where the fix is unlikely, publish it where it is better, drop it
-    where it has lost or agrees with the first, and write how far apart both are (`Hypothesis.SPREAD`)."""
+    """Compare the hypotheses after a fix: begin a second filter if the fix is unlikely, publish it if it is better,
+    drop it if it is too unlikely or agrees with the first, and set what the published covariance adds for the
+    others."""
     size, r = int(memory[Bank.SIZE]), state_at(memory, int(memory[Head.SAMPLES]))
     time = memory[r + Nav.FIX_TIME]
     if size == 0 or time == memory[Bank.COMPARED]:
@@ -105,8 +105,8 @@ def compare(memory):
         other[r + i] = memory[r + i]
     if (excess_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]
             or memory[r + Standing.CONTRADICTED] == time and memory[r + Hypothesis.FIXES_WRONG] == 0.0):
-        # fixes scatter that much more than was known when they did not fit, or the vehicle did not stand then: they are
-        # no longer wrong or refused
+        # the fixes did not fit because they scatter more than was known, or because the vehicle did not stand: they are
+        # not wrong
         memory[r + Hypothesis.FIXES_WRONG] = memory[r + Hypothesis.OFFSET + Offset.VARIANCE] = memory[Bank.OPEN] = 0.0
         _publish_all(memory, other, r)
         return
@@ -114,12 +114,12 @@ def compare(memory):
     if memory[r + Hypothesis.FIXES_WRONG] != 0.0 and new_start.are_refused(other, r):
         _start_second(memory, other, r, time - memory[Bank.WRONG_SINCE])  # they have changed once more
     if other[r + Hypothesis.FIXES_WRONG] == 0.0 and other[r + Hypothesis.OFFSET + Offset.VARIANCE] != 0.0:
-        # it takes fixes for right again: from now on it is judged by them, as the first
+        # it uses fixes again: from now on its score is by them, as that of the first
         other[r + Hypothesis.OFFSET + Offset.VARIANCE] = 0.0
         other[r + Hypothesis.SCORE] = min(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE])
     extrapolated = extrapolation.are_found(memory, r) or extrapolation.are_found(other, r)
     if extrapolated:
-        # they fit a filter that has started anew from them, from which they cannot be withdrawn
+        # extrapolated fixes fit a filter that has started anew from them, and cannot be withdrawn from it
         if other[r + Hypothesis.FIXES_WRONG] != 0.0 and memory[Head.FORGOTTEN] > memory[r + Extrapolation.SINCE]:
             _swap(memory, other)
         if memory[r + Hypothesis.FIXES_WRONG] != 0.0:
@@ -142,15 +142,15 @@ def compare(memory):
 
 @njit(_nrt=False)
 def _imu_wrong_score(refusing, r):
-    """Nats: score of the statement that the fixes that the filter `refusing` leaves are right, and the IMU is wrong. An
-    extrapolated fix is none that is right."""
+    """Nats: score of the hypothesis that the IMU is wrong and the fixes that the filter `refusing` does not use are
+    right. Where they are more likely extrapolated than measured, it is lower by the odds."""
     return hypotheses.score(refusing, r) + refusing[r + Hypothesis.IMU_NATS] - extrapolation.odds(refusing, r)
 
 
 @njit(_nrt=False)
 def _publish_all(memory, other, r):
-    """Write to the state at r how far the published covariance reaches (`Hypothesis.SPREAD`): to the other filter, or
-    to where the fixes are if the IMU is wrong, whichever is further."""
+    """Set what the published covariance of the state at r adds for the other hypotheses (`Hypothesis.SPREAD`): that it
+    reaches to the other filter, or to where the vehicle is if the IMU is wrong, whichever is further."""
     spread = r + Hypothesis.SPREAD
     for i in range(4):
         memory[spread + i] = 0.0
@@ -171,8 +171,8 @@ def _publish_all(memory, other, r):
 
 @njit(_nrt=False)
 def _reach_to(memory, other, r, off, share, sigma):
-    """Let the published covariance reach to where the vehicle is with the probability `share`, if it does not reach
-    further. `other` is then off by `off` (north, east, m; m/s), and that is known to `sigma`, m."""
+    """Let the published covariance reach to the position of a hypothesis with the probability `share`, if it does not
+    reach further. That position is the one of `other` minus `off` (north, east; m and m/s), known to `sigma`, m."""
     spread = r + Hypothesis.SPREAD
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
     north = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE] - off[0]
@@ -186,7 +186,7 @@ def _reach_to(memory, other, r, off, share, sigma):
         return
     times = far / distance
     memory[spread], memory[spread + 1] = times * north, times * east
-    times = min(times, 1.0)  # where both are at the same place, as far as is known, the other's velocity is enough
+    times = min(times, 1.0)  # if both positions agree within their sigmas, the other's velocity is sufficient
     memory[spread + 2] = times * (its[2] - mine[2] - off[2])
     memory[spread + 3] = times * (its[3] - mine[3] - off[3])
 
@@ -205,8 +205,8 @@ def _swap(memory, other):
 
 @njit(_nrt=False)
 def _start_from_fixes(memory, other, r, interval):
-    """The first filter, which has refused several fixes in a row, assumes from now on that these are wrong; the second
-    starts anew from the latest of them. interval: s between the latest fix and the one before."""
+    """After several refused fixes: the first filter assumes from now on that they are wrong, and the second starts anew
+    from the latest of them. interval: s between the latest two fixes."""
     begun = memory[r + Nav.REFUSED + Line.SINCE]
     if memory[Bank.OPEN] == 0.0 or hypotheses.score(other, r) < hypotheses.score(memory, r):
         if _refuse_since(memory, other, max(begun, time_of(memory, oldest_state(memory) + 1)), interval) == -math.inf:
@@ -230,11 +230,11 @@ def _start_second(memory, other, r, since):
 
 @njit(_nrt=False)
 def _restart_penalty(memory, r, since):
-    """Nats by which a filter that starts anew from refused fixes is less likely at most than the first, which has taken
-    them for wrong for `since` s.
+    """Largest lead, nats, of the first filter, which has refused the fixes for `since` s, over one that has started
+    anew from them.
 
-    After `gnss.recovery_time` both are as likely, as a receiver is seldom off by the same for so long; and so they are
-    at once where the first does not use the IMU: its position is that of earlier fixes, as the other's is of later.
+    It decreases to zero within `gnss.recovery_time`, as a receiver seldom has the same offset for longer. It is zero if
+    the first filter does not use the IMU: its position is by earlier fixes, as that of the other is by later ones.
     """
     if imu_faults.is_wrong(memory, r, memory[r + Nav.FIX_TIME]):
         return 0.0
@@ -243,8 +243,8 @@ def _restart_penalty(memory, r, since):
 
 @njit(_nrt=False)
 def _start_anew(other, k, due):
-    """Let `other` start anew from the first fix after state k, to which it has returned, and repeat what followed; due:
-    what `Hypothesis.START_DUE` says."""
+    """Let `other`, which has returned to state k, start anew from the first fix after it, and repeat what followed.
+    due: value of `Hypothesis.START_DUE`."""
     start, newest = state_at(other, k), int(other[Head.SAMPLES])
     other[start + Hypothesis.START_DUE] = due
     other[Head.FORGOTTEN] = max(other[Head.FORGOTTEN], other[start + Nav.TIME])  # a late fix must not undo the start
@@ -254,12 +254,12 @@ def _start_anew(other, k, due):
 
 @njit(_nrt=False)
 def _start_without_imu(memory, other, r):
-    """Where it is most likely that the fixes are right and the IMU is wrong, the first filter starts anew from the
-    latest fix and does not use the IMU for a while, and the second assumes that the fixes are wrong."""
+    """If a wrong IMU is the most likely hypothesis, the first filter starts anew from the latest fix and does not use
+    the IMU for some time, and the second assumes that the fixes are wrong."""
     swapped = memory[r + Hypothesis.FIXES_WRONG] == 0.0
     refusing, using = (other, memory) if swapped else (memory, other)
     its, time = _imu_wrong_score(refusing, r), memory[r + Nav.FIX_TIME]
-    # as long as the latest fix fits the filter that uses them, that goes on with the IMU: stamps may be off, too
+    # if the latest fix fits the filter that uses the fixes, that goes on with the IMU: a time offset may be the cause
     fits = using[r + Hypothesis.OUTLIER_NATS] < 0.0
     if (refusing[r + Hypothesis.FIXES_WRONG] == 0.0 or its < hypotheses.score(refusing, r) or fits
             or its < hypotheses.score(using, r)
@@ -290,8 +290,8 @@ def _start_without_imu(memory, other, r):
 def _is_better(memory, other, r):
     """Whether the second filter is to be published.
 
-    A second filter that uses no fixes is published only where the first one follows fixes that drift away, as slowly as
-    receivers do. A receiver with a constant error is followed: its error bounds that of the filter.
+    A second filter that uses no fixes is published only if the first one follows fixes that drift away, and that slowly
+    enough for a receiver. Fixes with a constant error are followed: it bounds the error of the filter.
     """
     its, mine = hypotheses.score(other, r), hypotheses.score(memory, r)
     if other[r + Hypothesis.FIXES_WRONG] == 0.0:
@@ -307,8 +307,8 @@ def _is_better(memory, other, r):
 
 @njit(_nrt=False)
 def _begin(memory, other, r, interval):
-    """Begin a second filter that assumes that the latest fix is wrong, unless this is too unlikely. interval: s between
-    the latest fix and the one before."""
+    """Begin a second filter that assumes that the latest fix is wrong, unless that is too unlikely. interval: s between
+    the latest two fixes."""
     if interval <= 0.0:  # fixes have been withdrawn, and this one has been compared before
         return
     time, score = memory[r + Nav.FIX_TIME], hypotheses.score(memory, r)
@@ -322,9 +322,9 @@ def _begin(memory, other, r, interval):
 
 @njit(_nrt=False)
 def _search_begin(memory, other, r, interval):
-    """Let `other` refuse the fixes from an earlier time on, where what it says is more likely then.
+    """Let `other` refuse the fixes from an earlier time on, if its hypotheses are more likely then.
 
-    Fixes and an IMU go wrong at times of their own, so that each statement has the score of its best time.
+    Faults of receiver and IMU begin independently, so each hypothesis keeps the score of its best begin.
     """
     latest, since = memory[Bank.WRONG_SINCE], 0.0
     fixes_wrong = imu_wrong = best = -math.inf
@@ -347,8 +347,7 @@ def _search_begin(memory, other, r, interval):
 
 @njit(_nrt=False)
 def _copy(memory, other, first):
-    """Copy `memory` to `other`, without what is needed only for states before number `first`, to which `other` will not
-    return."""
+    """Copy `memory` to `other`, without states before number `first`, to which `other` will not return."""
     for i in range(int(memory[Head.ROWS_AT])):
         other[i] = memory[i]
     first = kept_state(memory, first)
@@ -367,8 +366,8 @@ def _copy(memory, other, first):
 
 @njit(_nrt=False)
 def _refuse_since(memory, other, since, interval):
-    """Make `other` the filter that `memory` would be, had it used no fix since `since`, s. Returns its score, or -inf
-    where the state of that time is no longer in the memory."""
+    """Make `other` the filter that `memory` would be if it had used no fix since `since`, s. Returns its score, or -inf
+    if the state of that time is no longer in the memory."""
     newest, k = int(memory[Head.SAMPLES]), state_before(memory, since)
     time = time_of(memory, k)
     if time >= since or not can_return_to(memory, k):
