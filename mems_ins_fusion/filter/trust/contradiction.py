@@ -1,10 +1,10 @@
-"""An IMU that is wrong although its samples are finite and in range.
+"""Detect an IMU that is wrong although its samples are finite and within range.
 
-Its axes are swapped, a gyroscope is off by degrees per second, a loose mount makes noise. The fixes then do not fit,
-which looks as if they were wrong. The non-holonomic constraint tells the two apart: with such an IMU the vehicle seems
-to slide sideways, more than is usual for this vehicle (the constraint's sigma is a bound for every car and road).
-Velocity and heading are then made as uncertain as the slide is large, and for USE_ALL_TIME fixes are used
-whatever their innovation.
+Examples are swapped axes, a gyroscope bias of degrees per second or the noise of a loose mount. The innovations of the
+fixes are then large, as if the fixes were wrong. The non-holonomic constraint distinguishes the two cases: with a wrong
+IMU, the vehicle appears to slide sideways by more than is usual for this vehicle. (The sigma of the constraint is no
+measure of that, as it is an upper limit for all cars and roads.) The variances of velocity and heading are then
+increased by the size of the slide. For USE_ALL_TIME, all fixes are used, whatever their innovation.
 """
 from __future__ import annotations
 
@@ -18,51 +18,58 @@ from . import hypotheses
 from .force_noise import ForceNoise
 from .scale import reset_scale
 
-#: s over which the normalized innovation squared (NIS) of the lateral constraint is averaged: its errors last about as
-#: long
+#: s, averaging time of the normalized innovation squared (NIS) of the lateral constraint: its errors are correlated for
+#: about this time
 SLIDING_TIME = 1.0
-#: s over which the usual NIS of a vehicle is averaged: some bends and some straights
-USUAL_TIME = 30.0
-#: usual NIS before any has been seen: half a sigma, as the constraint's sigma is a bound for all vehicles
+#: s, averaging time of the usual NIS of the vehicle: contains bends and straights
+USUAL_SLIDING_TIME = 30.0
+#: usual NIS at the start: an innovation of half a sigma, as the sigma of the constraint is an upper limit for all
+#: vehicles
 FIRST_USUAL = 0.25
-#: a NIS of more than this many times the usual counts as that: one slide must not become the usual
+#: upper limit of a NIS over the usual one, a larger one counts as this: one slide must not change the usual NIS
 LARGEST_RATIO = 10.0
-#: a slide is a mean NIS of this many times the usual: measured drives stay below 29
+#: ratio of the mean NIS to the usual one above which the vehicle slides: below 29 on all measured drives
 SLIDE_RATIO = 40.0
-#: and this mean NIS at least: below half a sigma there is nothing to explain, however quiet the vehicle usually is
+#: smallest mean NIS of a slide, about half a sigma: a smaller one is no contradiction, even if the usual NIS of the
+#: vehicle is very small
 SMALLEST_SLIDE_NIS = 0.2
-#: times the usual, while unsettled: who slid a moment ago does so again more easily
+#: the same as SLIDE_RATIO during USE_ALL_TIME after a slide, when another one is more probable
 SLIDE_AGAIN_RATIO = 10.0
-#: s for which the fixes decide after a slide: in that time a heading is found again from them
+#: s for which all fixes are used after a slide: in this time the heading is found again from them
 USE_ALL_TIME = 20.0
-#: m/s, speed below which a slide tells no more of the heading than at it: the ratio of the two would be without bound
-SLOWEST_SPEED = 1.0
-#: normalized innovation squared of a fix, 2 degrees of freedom, to which an unsettled state is loosened
+#: m/s, lower limit of the speed where a slide is divided by it, as the heading error would be unbounded at rest. Also
+#: the lower limit of the speed in `inflate_to_fit`
+SLIDE_SPEED = 1.0
+#: normalized innovation squared of a fix, 2 degrees of freedom, after P was increased: its expectation
 INFLATED_NIS = 2.0
-#: rad (17 deg), largest standard deviation that this gives to roll and pitch: a mount that has slipped. The filter is
-#: linear in them, and without the IMU no fix corrects them
+#: rad (17 deg), largest standard deviation of roll and pitch after P was increased: a mount that has slipped. The
+#: filter is linear in them, and without the IMU fixes do not correct them
 LARGEST_TILT = 0.3
 
 
 @njit(_nrt=False)
 def slides(mem, r, innovation, s, since):
-    """Whether the IMU has the vehicle slide as it does not usually.
+    """Whether the IMU shows a lateral velocity that is unusual for this vehicle.
 
-    innovation, s: of the lateral constraint, m/s, and its variance. since: s from the one before.
+    innovation, s: innovation of the lateral constraint, m/s, and its variance. since: s since the previous one.
     """
     nis = innovation * innovation / s
     usual = mem[r + Nav.USUAL_SLIDING_NIS]
     mem[r + Nav.SLIDING_NIS] += (nis - mem[r + Nav.SLIDING_NIS]) * min(since / SLIDING_TIME, 1.0)
-    mem[r + Nav.USUAL_SLIDING_NIS] += (min(nis, LARGEST_RATIO * usual) - usual) * min(since / USUAL_TIME, 1.0)
+    mem[r + Nav.USUAL_SLIDING_NIS] += (min(nis, LARGEST_RATIO * usual) - usual) * min(since / USUAL_SLIDING_TIME, 1.0)
     times = SLIDE_AGAIN_RATIO if mem[r + Nav.USE_ALL_FIXES] > 0.0 else SLIDE_RATIO
     return mem[r + Nav.SLIDING_NIS] > max(times * usual, SMALLEST_SLIDE_NIS)
 
 
 @njit(_nrt=False)
 def raise_uncertainty(mem, r, n, innovation, since):
-    """Velocity and heading of P in the scratch less certain by a slide of `innovation`, m/s."""
+    """Increase the variances of velocity and heading in P of the scratch after a slide, and use all fixes for
+    USE_ALL_TIME.
+
+    innovation: of the lateral constraint, m/s. since: s since the previous one.
+    """
     p, squared = int(mem[Head.SCRATCH_AT]), innovation * innovation
-    speed = max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]), SLOWEST_SPEED)
+    speed = max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]), SLIDE_SPEED)
     first, yaw = velocity_state(mem), yaw_state(mem)
     for i in range(first, first + 2):
         mem[p + (n + 1) * i] += squared
@@ -75,24 +82,29 @@ def raise_uncertainty(mem, r, n, innovation, since):
 
 @njit(_nrt=False)
 def use_all_fixes(mem, r, since):
-    """The state at r has been misled by an input that is wrong for certain and has been believed for `since` s, and the
-    innovations have been that input's, not the accelerometers'."""
+    """Use all fixes for a time, as the state at r contains a wrong input that was used for `since` s.
+
+    The innovations in this time were caused by the input, not by the accelerometers. So the noise of the accelerometers
+    that was learned from them is reset.
+    """
     reset_scale(mem, r + ForceNoise.SCALE)
-    if mem[Head.LATERAL_SIGMA] > 0.0:  # else nobody counts the time
+    if mem[Head.LATERAL_SIGMA] > 0.0:  # else the time would never end: the constraint counts it
         mem[r + Nav.USE_ALL_FIXES] = max(mem[r + Nav.USE_ALL_FIXES], min(since, USE_ALL_TIME))
 
 
 @njit(_nrt=False)
 def inflate_to_fit(mem, r, n, nis):
-    """The navigation errors in P of the scratch so uncertain that a fix with this nis, before the correction, fits.
+    """Increase the navigation part of P in the scratch until a fix with this nis, before the correction, is consistent
+    with it.
 
-    But its velocity no more than by itself: an IMU that turns the velocity makes it wrong by that at most. And its
-    attitude no more than if nothing were known of it. Returns whether the fix fits then; else it may be an outlier.
+    There are two limits. The standard deviation of the velocity is increased to the speed at most: an IMU that turns
+    the velocity causes an error of about this size. That of the attitude is increased to its initial value at most.
+    Returns whether the fix is consistent then; if not, it may be an outlier.
     """
     if nis <= INFLATED_NIS:
         return True
     p, n_navigation, first = int(mem[Head.SCRATCH_AT]), int(mem[Head.N_NAVIGATION]), velocity_state(mem)
-    speed = max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]), SLOWEST_SPEED)
+    speed = max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]), SLIDE_SPEED)
     variance = max(mem[p + (n + 1) * first], mem[p + (n + 1) * (first + 1)])
     squared = min(nis / INFLATED_NIS, max(speed * speed / variance, 1.0))
     tilt, yaw = row_of(mem, Error.PHI_N), yaw_state(mem)

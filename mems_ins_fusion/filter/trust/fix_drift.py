@@ -1,8 +1,9 @@
-"""How far fixes are from where the filter would be had those of the last seconds not moved it, beside what is usual.
+"""Detect fixes that drift away and are followed by the filter.
 
-Fixes that drift away are followed: each of them fits nearly, and moves position and velocity a little, but always the
-same way. How much of that is too much depends on the IMU, on what the parameters do not say of it, and on the receiver;
-so it is compared with what it has been in this drive.
+Each drifting fix is nearly consistent with the state, and corrects position and velocity a little, but always in the
+same direction. So each fix is compared with the position that the filter would have without the corrections of the last
+seconds. The usual distance between them depends on the IMU, including errors that its parameters do not contain, and on
+the receiver. So the distance is compared with its mean in the same drive.
 """
 from __future__ import annotations
 
@@ -13,29 +14,34 @@ from mems_ins_fusion.compiled import njit
 from ..memory import ROW, Event, Nav
 from .hypotheses import Hypothesis
 
-#: of a state
+#: columns of a state
 FixDrift = ROW.place(
     'FixDrift',
-    MOVED=4,  # m, m/s, north and east: how far the fixes of the last seconds have moved position and velocity,
-    LATEST=1,  # m^2: square of how far the latest fix is from where the filter would be without that,
-    USUAL=1,  # m^2: the mean of these squares,
-    SEEN=1)  # s: over so long
+    MOVED=4,  # m, m/s, north and east: sum of the corrections of position and velocity in the last seconds
+    LATEST=1,  # m^2: squared distance of the latest fix from the position without these corrections
+    USUAL=1,  # m^2: mean of these squares
+    SEEN=1)  # s: time over which it was averaged
 
-#: s for which what fixes have done is remembered: so long a car's IMU holds the position to about what a fix is off
+#: s, time constant with which corrections are forgotten: in this time, the position error by a car's IMU grows to about
+#: that of a fix
 FORGETTING_TIME = 4.0
-#: s over which the usual distance is a mean: it has bends and stops in it, and follows another road
-USUAL_TIME = 300.0
-#: s over which it is one at least: some times FORGETTING_TIME, within which distances are alike
+#: s, averaging time of the usual distance: contains bends and stops, and adapts to another road
+USUAL_DISTANCE_TIME = 300.0
+#: s, shortest averaging time with which the usual distance is used: several times FORGETTING_TIME, within which
+#: distances are correlated
 SHORTEST_USUAL = 30.0
-#: times the usual distance from which on fixes are far: on the measured drives longer than for a second only where the
-#: receiver fails, and where a time offset of 0.26 s is not declared
+#: ratio to the usual distance above which fixes are far: on the measured drives exceeded for longer than a second only
+#: if the receiver fails, or with a time offset of 0.26 s that is not configured
 FAR_RATIO = 3.0
 
 
 @njit(_nrt=False)
 def note(mem, r, at, z_n, z_e):
-    """Note how far the fix at `at` is off. z_n, z_e: predicted minus measured position, m, without what the filter
-    knows of its errors in open loop."""
+    """Compare the fix at `at` with the position without the corrections of the last seconds, and update the usual
+    distance.
+
+    z_n, z_e: predicted minus measured position, m, with the estimated errors subtracted (open loop).
+    """
     step = min(max(mem[at + Event.TIME] - mem[r + Nav.FIX_TIME], 0.0), FORGETTING_TIME)
     moved, left = r + FixDrift.MOVED, math.exp(-step / FORGETTING_TIME)
     for i in range(2):
@@ -45,7 +51,7 @@ def note(mem, r, at, z_n, z_e):
     mem[r + FixDrift.LATEST] = squared
     if mem[r + Hypothesis.FIXES_WRONG] != 0.0:
         return
-    mem[r + FixDrift.SEEN] = min(mem[r + FixDrift.SEEN] + step, USUAL_TIME)
+    mem[r + FixDrift.SEEN] = min(mem[r + FixDrift.SEEN] + step, USUAL_DISTANCE_TIME)
     if mem[r + FixDrift.SEEN] > SHORTEST_USUAL:
         squared = min(squared, FAR_RATIO * FAR_RATIO * mem[r + FixDrift.USUAL])
     mem[r + FixDrift.USUAL] += (squared - mem[r + FixDrift.USUAL]) * min(step / mem[r + FixDrift.SEEN], 1.0)
@@ -53,7 +59,7 @@ def note(mem, r, at, z_n, z_e):
 
 @njit(_nrt=False)
 def reset(mem, r):
-    """The state at r has begun anew: nothing has moved it, and what is usual of it has not been seen."""
+    """Reset the statistics of the state at r after a new start."""
     mem[r + FixDrift.SEEN] = 0.0
     for i in range(4):
         mem[r + FixDrift.MOVED + i] = 0.0
@@ -61,7 +67,7 @@ def reset(mem, r):
 
 @njit(_nrt=False)
 def are_followed(mem, r):
-    """Whether the latest fix has been used and is further than is usual from where the state at r would be without it
-    and those before it."""
+    """Whether the filter follows fixes that drift away: the latest fix was used, and its distance from the position
+    without the latest corrections is unusually large."""
     return (mem[r + FixDrift.SEEN] > SHORTEST_USUAL and mem[r + Nav.REFUSED] == 0.0
             and mem[r + FixDrift.LATEST] > FAR_RATIO * FAR_RATIO * mem[r + FixDrift.USUAL])

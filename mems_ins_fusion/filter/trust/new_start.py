@@ -1,4 +1,4 @@
-"""New starts: of the whole state from fixes that were refused although they are right, of the heading from the course.
+"""Start anew: the whole state from refused fixes that are right, or only the heading from the course.
 
 A straight line over time is fitted to the innovations of fixes refused in a row (`line.py`, at `Nav.REFUSED`). Fixes
 near this line agree with each other. Its slope shows whether the filter has diverged from them.
@@ -21,9 +21,9 @@ from .line import FEWEST_ON_LINE, Line, add_to_line, begin_line, fit_line
 from .receiver import Receiver, excess_scatter
 from .scale import reset_scale
 
-#: s, longest interval between two fixes that give a course: within more the vehicle may have turned
+#: s, longest interval between two fixes that give a course: in more time the vehicle may have turned
 LONGEST_PAIR = 3.0
-#: s after which a filter that diverges from refused fixes starts anew from them: innovations that grow by
+#: s, time for which fixes must have been refused before a new start by divergence: innovations that grow by
 #: DIVERGED_SLOPE have then grown by more than fixes scatter
 DIVERGED_AFTER = 2.0
 #: m/s, smallest growth of the innovations of a filter that has diverged. Errors of a receiver grow more slowly, except
@@ -31,21 +31,22 @@ DIVERGED_AFTER = 2.0
 DIVERGED_SLOPE = 2.0
 #: smallest growth as a share of the size of the innovations: those of a receiver that has jumped do not grow
 DIVERGED_SHARE = 0.5
-#: probability that fixes that only scatter have such a slope, below which it is significant: one in a thousand rows of
-#: refused fixes
+#: largest probability of a slope by noise alone with which the slope is significant: one in a thousand rows of refused
+#: fixes
 SIGNIFICANCE = 0.001
-#: number of standard deviations of a fix by which refused fixes that agree scatter about the line at most
+#: largest scatter of refused fixes that agree about their line, in standard deviations of a fix
 AGREEMENT_SIGMAS = 2.0
 #: m, added to the standard deviation: a vehicle that brakes or turns leaves the line by about this distance
 AGREEMENT_FLOOR = 1.0
-#: share of the size of the innovations that is allowed in addition: a filter with a wrong heading leaves on a curve
+#: share of the size of the innovations that is added to the allowed scatter: with a wrong heading, the error of the
+#: filter grows along a curve, not a line
 AGREEMENT_SHARE = 0.3
 #: m/s, standard deviation of the velocity after a new start, besides the noise of the fixes: change of a vehicle's
 #: velocity between two fixes
 NEW_VELOCITY_SIGMA = 0.5
 #: m/s, smallest speed whose course gives a heading: at lower speeds the error of the velocity is too large
 COURSE_SPEED = 3.0
-#: rad, standard deviation of such a heading: sideslip, turns between two fixes
+#: rad, standard deviation of such a heading: sideslip, and turns between two fixes
 COURSE_SIGMA = 0.2
 #: rad, standard deviation above which a new heading is looked for: the filter is linear in the heading error up to
 #: about 30 deg
@@ -54,9 +55,9 @@ LARGEST_YAW_SIGMA = 0.5
 
 @njit(_nrt=False)
 def note(mem, r, at):
-    """Add the fix at `at`, if it was refused, to the line of the fixes refused in a row; else clear the line.
+    """Add the fix at `at` to the line of the fixes refused in a row; if it was not refused, clear the line.
 
-    If the earlier ones do not agree with each other, the row begins with this fix.
+    If the earlier fixes of the line do not agree with each other, a new line begins with this fix.
     """
     time = mem[at + Event.TIME]
     if mem[at + Event.VERDICT] != Verdict.REFUSED or _may_start(mem, r) and not _agree_as_claimed(mem, r):
@@ -70,31 +71,33 @@ def note(mem, r, at):
 
 @njit(_nrt=False)
 def _may_start(mem, r):
-    """Whether enough fixes have been refused in a row, and for long enough, the latest with the state at r: if they
-    agree, they are not outliers."""
+    """Whether enough fixes have been refused in a row for a new start, and for long enough. r: state at the latest
+    one."""
     return (mem[r + Nav.REFUSED] >= FEWEST_ON_LINE
             and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED + Line.SINCE] >= DIVERGED_AFTER)
 
 
 @njit(_nrt=False)
 def _agree_as_claimed(mem, r):
-    """Whether the refused fixes agree with each other, with the variance that the latest one claims."""
+    """Whether the refused fixes agree with each other within the claimed variance of the latest fix."""
     return _agree(mem, r, 2.0 * mem[r + Receiver.CLAIMED])
 
 
 @njit(_nrt=False)
 def are_refused(mem, r):
-    """Whether fixes refused in a row, the latest with the state at r, agree and thus are not outliers. False if the
-    filter has diverged from them, which then starts anew by itself."""
+    """Whether right fixes have been refused in a row: they agree with each other and thus are no outliers. r: state at
+    the latest one. False if the filter has diverged from them, as it then starts anew anyway."""
     return (_may_start(mem, r) and mem[r + Hypothesis.FIXES_WRONG] == 0.0 and _agree_as_claimed(mem, r)
             and not _diverged(mem, r, mem[r + Nav.FIX_TIME]))
 
 
 @njit(_nrt=False)
 def is_due(mem, r, at):
-    """Whether the state at r starts anew from the fix at `at`: by a decision of `bank.py`, or because the fixes refused
-    before it are right. These have come for long enough and agree with each other: their innovations are near a line,
-    like errors of position and velocity."""
+    """Whether the state at r starts anew from the fix at `at`.
+
+    There are two reasons: a decision of `bank.py`, or refused fixes that are right. These have come for long enough and
+    agree with each other: their innovations are near a line, as with errors of position and velocity.
+    """
     if mem[r + Hypothesis.START_DUE] != 0.0:
         return True
     lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED + Line.SINCE]
@@ -121,7 +124,7 @@ def start_anew(mem, r, at):
 
     The estimated sensor errors are kept with twice the standard deviation, as they may be wrong, too.
     """
-    # if `bank.py` has decided so, the fixes may be wrong instead, so the IMU is not taken for wrong
+    # after a decision of `bank.py`, the fixes may have been wrong, so this does not show that the IMU is wrong
     due, mem[r + Hypothesis.START_DUE] = mem[r + Hypothesis.START_DUE], 0.0
     if due == hypotheses.START_WITHOUT_IMU:
         diverged = True
@@ -189,8 +192,11 @@ def _fix_variance(mem, r, at):
 
 @njit(_nrt=False)
 def _velocity_of_fixes(mem, r, at, diverged):
-    """Velocity (north, east) by the refused fixes, and its variance. From the last two fixes if the filter has
-    diverged, as its own velocity may be far off, else from the slope of the line."""
+    """Velocity (north, east) by the refused fixes, and its variance.
+
+    If the filter has diverged, its own velocity may be wrong, and the last two fixes are used. Else it is the velocity
+    of the filter minus the slope of the line.
+    """
     slope_n, slope_e, _, variance = fit_line(mem, r + Nav.REFUSED)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
     if not diverged or not 0.0 < interval < LONGEST_PAIR:
@@ -202,8 +208,10 @@ def _velocity_of_fixes(mem, r, at, diverged):
 
 @njit(_nrt=False)
 def _diverged(mem, r, time):
-    """Whether the filter has diverged from the fixes refused until `time`, s: its distance from them grows, while that
-    from the fixes of a receiver that has jumped stays constant."""
+    """Whether the filter has diverged from the fixes refused until `time`, s.
+
+    The innovations then grow. If instead the receiver has jumped, they stay constant.
+    """
     slope_n, slope_e, _, variance = fit_line(mem, r + Nav.REFUSED)
     slope, free = math.hypot(slope_n, slope_e), max(mem[r + Nav.REFUSED] - 2.0, 1.0)
     if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
@@ -217,7 +225,8 @@ def _diverged(mem, r, time):
 
 @njit(_nrt=False)
 def take_course(mem, r, v_n, v_e, drift):
-    """Set the heading to the course of a velocity, with its variance in P of the scratch; unknown if that is too slow.
+    """Set the heading to the course of a velocity, with its variance in P of the scratch. At low speed, the heading
+    becomes unknown.
 
     drift: variance of the velocity, m^2/s^2.
     """
@@ -239,8 +248,8 @@ def take_course(mem, r, v_n, v_e, drift):
 
 @njit(_nrt=False)
 def course_velocity(mem, r, at):
-    """Velocity between the last fix and that at `at` if the heading is unknown and this velocity gives it, else zeros.
-    """
+    """Velocity between the last fix and that at `at`, for a new heading. Zeros if the heading is known or the velocity
+    is too uncertain."""
     (n, p), k = scratch_of(mem), yaw_state(mem)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
     if (mem[Head.GATE] == 0.0 or mem[p + (n + 1) * k] < LARGEST_YAW_SIGMA**2 or mem[r + Nav.FIX_TIME] == 0.0

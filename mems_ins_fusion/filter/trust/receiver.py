@@ -1,7 +1,8 @@
-"""What the filter makes of its GNSS receiver: with which weight its fixes are used.
+"""Noise of the GNSS receiver: the weight of its fixes, and the limits beyond which they are weighted down or refused.
 
-A receiver repeats itself, jumps, wanders and states a sigma that is not its own. The realised scatter is seen in how
-three fixes that follow each other differ from what the inertial sensors say of the displacements between them.
+The standard deviation that a receiver claims for its fixes may be wrong, and its errors may jump or drift. The realised
+noise is learned from three successive fixes: from the difference between the displacements that they measure and those
+that the inertial sensors measure.
 """
 from __future__ import annotations
 
@@ -15,74 +16,85 @@ from .force_noise import ForceNoise, force_noise, learn_force_noise, learn_from_
 from .scale import PRIOR, Scale, learn_changes, reopen, reset_scale, scale
 from .scale import learn as learn_scale
 
-#: of a state
+#: columns of a state
 Receiver = ROW.place(
     'Receiver',
-    CLAIMED=1,  # variance of the last fix, as it says, m^2
-    FIRST=2,  # of three fixes, a second or more apart, the first: time, s (0: none), and the variance it claims, m^2,
-    SECOND=4,  # the second: predicted minus measured position, m, beside MOVED, s after the first (0: none), variance,
-    MOVED=4,  # and how fixes have moved position and velocity since the first, m, m/s, and how far off that was
-    SHORT_PASSED=3,  # whitened innovations behind a low pass of SHORT_LOW_PASS, and their variance were they white
-    LAST_TWO=6,  # two fixes before the next one: time, s, latitude and longitude, rad,
-    SMOOTH_SCALE=Scale.CHANGING_SIZE,  # realised over claimed variance at most, as three fixes are off a straight line,
-    SCALE=Scale.CHANGING_SIZE,  # realised over claimed variance of the fixes,
-    SLOW_SCALE=Scale.SIZE,  # the same as the innovations behind a low pass show it,
-    LASTING_SCALE=Scale.SIZE,  # of what of it lasts over what is expected of that,
-    INNOVATION_SCALE=Scale.SIZE,  # and of the innovations behind a low pass
-    STATUS=1,  # of the fixes that the first four scales are of, `NavSatStatus.status` and 1; 0: none yet,
-    BY_STATUS=3 * 2 * (Scale.CHANGING_SIZE + Scale.SIZE))  # and these scales of the fixes of each status
+    CLAIMED=1,  # m^2, claimed variance of the last fix
+    FIRST=2,  # first of three fixes, about a second or more apart: time, s (0: none), claimed variance, m^2
+    SECOND=4,  # second one: innovation minus MOVED, m, s after the first (0: none), claimed variance, m^2
+    MOVED=4,  # m, m/s: corrections of position and velocity since the first one, plus the innovation of the first
+    SHORT_PASSED=3,  # whitened innovations, low-passed with SHORT_LOW_PASS, and the variance for white ones
+    LAST_TWO=6,  # the two previous fixes: time, s, latitude and longitude, rad
+    SMOOTH_SCALE=Scale.CHANGING_SIZE,  # realised over claimed variance by a straight line, an upper limit
+    SCALE=Scale.CHANGING_SIZE,  # realised over claimed variance of the fixes
+    SLOW_SCALE=Scale.SIZE,  # the same ratio by low-passed innovations
+    LASTING_SCALE=Scale.SIZE,  # realised over expected variance of slow errors
+    INNOVATION_SCALE=Scale.SIZE,  # realised over expected variance of low-passed innovations
+    STATUS=1,  # `NavSatStatus.status` plus 1 of the fixes of the first four scales; 0: no fix yet
+    BY_STATUS=3 * 2 * (Scale.CHANGING_SIZE + Scale.SIZE))  # these four scales for each status
 
-#: s from the first to the last of three fixes that are compared with a straight line: in more, what a vehicle does
-#: takes it further from that than any receiver scatters. A fix each ten seconds still counts
+#: s, longest time from the first to the last of three fixes that are compared with a straight line: in more time, the
+#: vehicle leaves the line by more than fixes of any receiver scatter. One fix in ten seconds is still enough
 LONGEST_OF_THREE = 30.0
-#: s over which the receiver's scatter is seen in how its error changes: over less than that errors are alike
+#: s, shortest time between two of the three fixes: within less, errors of the receiver are nearly equal, and
+#: differences do not show them
 SHORTEST_PAIR = 0.9
-#: m/s^2, by which the inertial sensors are wrong in between at most, as far as the filter knows: half a degree of tilt
+#: m/s^2, upper limit of the standard deviation of the acceleration error by the tilt: half a degree
 UNSEEN_ACCELERATION = 0.1
-#: m: a fix nearer than this is never refused, only weighted down. A filter that is off by so much without knowing it,
-#: as with an unknown time offset at 20 m/s, else refuses right fixes (Longmont: RMSE 0.26 m with it, 4.6 m without)
+#: m: a fix with a smaller innovation is never refused, only weighted down. A state may be wrong by this distance
+#: although its covariance is small, as with an unknown time offset at 20 m/s. Without this limit, right fixes are then
+#: refused (Longmont: RMSE 0.26 m with it, 4.6 m without)
 GATE_FLOOR = 5.0
-#: s for which a row of fixes is weighted down at most: then it is the filter that is wrong, and they are used as
-#: they are until they fit again (without the end good fixes are refused by a filter whose accelerometers are off)
+#: s, longest time for which fixes in a row are weighted down. After it the state is taken for wrong, and fixes keep
+#: their full weight until they agree with the state again. Without this limit, a filter with wrong accelerometers does
+#: not accept right fixes
 LONGEST_WEIGHTED = 4.0
-#: s: what grows from fix to fix is the filter's own error, where they are no further apart than that
+#: s, longest interval between two fixes for which the gate is applied to the change of the innovation: within it,
+#: gradual growth is an error of the state, not of the fix
 LONGEST_GROWTH = 10.0
-#: m/s^2, by which the filter's own error grows at most: a tilt that is three degrees wrong
+#: m/s^2, largest acceleration with which an error of the state grows: that of a tilt error of three degrees
 LARGEST_GROWTH = 0.5
-#: factor by which the claimed variance changes at once where it is another claim, and no other error: the realised
-#: variance is then as it was until the fixes show more
+#: ratio of the claimed variances of two successive fixes above which only the claim has changed, not the error: the
+#: realised variance is kept until fixes show another one
 CLAIM_CHANGE = 10.0
-#: s over which innovations are averaged to see whether they are white: what lasts for shorter averages out
+#: s, time constant of the low pass of innovations for the covariance factor: errors that last for less time average out
 LONG_LOW_PASS = 10.0
-#: s over which they are averaged to see errors that last: such errors, followed by the filter, are in its innovations
-#: most where these change about as fast as it follows, within seconds (docs/filter.md)
+#: s, time constant of the low pass of innovations for slow errors. They are largest in the innovations if they change
+#: about as fast as the filter follows them, which is within seconds (docs/filter.md)
 SHORT_LOW_PASS = 4.0
-#: s: fixes that are followed more slowly than that are followed by other measurements, too
+#: s, upper limit of the time constant with which the filter follows fixes: if it follows them more slowly, other
+#: measurements correct the position, too
 SLOWEST_RESPONSE = 30.0
-#: normalized innovation as which a larger one counts: one fix far off is not a filter that is too sure
+#: upper limit of a normalized innovation, a larger one counts as this: one outlier does not show that the covariance is
+#: too small
 LARGEST_INNOVATION = 4.0
-#: share of the variance of fixes that counts as errors that last before any have been seen, whatever they scatter: of
-#: no receiver are all errors white
+#: share of the realised variance of fixes that is the lower limit of the variance of slow errors: no receiver has only
+#: white errors
 LASTING_SHARE = 0.05
-#: s, time constant of such errors: multipath of a moving vehicle lasts for shorter, atmosphere and orbits for longer
+#: s, time constant of slow errors: that of multipath of a moving vehicle is shorter, that of atmosphere and orbits
+#: longer
 LASTING_TIME = 60.0
-#: share of the variance of errors that last which shows behind a low pass of SHORT_LOW_PASS at most, at rest
+#: upper limit of the share of the variance of slow errors that is in low-passed innovations, reached at rest
 LARGEST_SHOWN = 0.3
-#: variance of errors that last at most, over that which fixes claim or scatter: a sigma that is off by a factor of
-#: three, one sigma of `scale.PRIOR`. They show in innovations by a small share, so that an IMU that is worse than
-#: configured, or a receiver that smooths, would pass for errors of tens of metres
+#: upper limit of the variance of slow errors, over the larger of the claimed and the realised variance: a sigma wrong
+#: by a factor of three, one standard deviation of `scale.PRIOR`. Innovations contain only a small share of slow errors.
+#: Without this limit, an IMU that is worse than configured, or a receiver that smooths its positions, would appear as
+#: slow errors of tens of metres
 LARGEST_LASTING = 9.0
-#: realised over claimed variance from which on fixes show nothing of the accelerometers: a receiver that claims a tenth
-#: of its sigma. What its scatter is, is then not known well enough
+#: ratio of the realised to the claimed variance above which the noise of the accelerometers is not learned: the claimed
+#: sigma is a tenth of the realised one, and the noise of the fixes is not known well enough
 LARGEST_SCATTER = 100.0
-#: fixes over which the logarithm of what they claim is averaged: about as many as the position remembers
+#: number of fixes over which the logarithm of the claimed variance is averaged: about as many as determine the position
 CLAIM_MEMORY = 10.0
 
 
 @njit(_nrt=False)
 def take_status(mem, r, at):
-    """Go on with the scales of fixes with the status of the fix at `at`: one that is fixed to a base, one that is
-    corrected and one that is neither are measured in three ways, and each has errors of its own."""
+    """Change to the scales of the status of the fix at `at`, if it differs from that of the previous fix.
+
+    Fixes with a base, fixes with corrections and fixes without either are measured in different ways. The errors of
+    each kind are learned separately.
+    """
     before, status = int(mem[r + Receiver.STATUS]), min(max(int(mem[at + Event.STATUS]), 0), 2) + 1
     mem[r + Receiver.STATUS] = status
     if before == 0 or before == status:
@@ -92,20 +104,21 @@ def take_status(mem, r, at):
     for i in range(size):
         mem[left + i] = mem[r + Receiver.SMOOTH_SCALE + i]
         mem[r + Receiver.SMOOTH_SCALE + i] = mem[found + i]
-    # the error has not changed since the last fix, it is another one
+    # fixes of different status have different errors, so they are not compared with each other
     for i in (Receiver.CLAIMED, Receiver.FIRST, Receiver.LAST_TWO, Receiver.LAST_TWO + 3):
         mem[r + i] = 0.0
 
 
 @njit(_nrt=False)
 def factor_and_limits(mem, r, at):
-    """Factor on the covariance of the fix at `at`, and where it is weighted down and where refused, in sigmas.
+    """Return the factor on the covariance of the fix at `at`, the limit above which it is weighted down, and the gate.
 
-    Called with its innovation before the correction, in which x is still to be taken out.
+    Both limits are in standard deviations of the innovation; 0 is no limit. The event contains the innovation before
+    the correction. The estimated errors x are subtracted from it here.
     """
     z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
-    # refused only if it is off by something that matters, and has become so at once: what grows from fix to fix is the
-    # filter's own error
+    # a fix is refused only if its innovation is large and has become so at once: gradual growth from fix to fix is an
+    # error of the state
     interval = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME]
     jump, floor = math.hypot(z_n, z_e), GATE_FLOOR
     if mem[r + Nav.REFUSED] == 0.0 and mem[r + Nav.FIX_TIME] != 0.0 and 0.0 < interval < LONGEST_GROWTH:
@@ -120,8 +133,12 @@ def factor_and_limits(mem, r, at):
 
 @njit(_nrt=False)
 def realised_scatter(mem, r):
-    """Realised over claimed variance, as fixes scatter about the way that the inertial sensors see, but no more than
-    three fixes in a row are off a straight line: what is seen beyond that is the inertial sensors'."""
+    """Ratio of the realised to the claimed variance, from the noise of fixes about the displacements of the inertial
+    sensors.
+
+    Its upper limit is the ratio at which three successive fixes deviate from a straight line. Any excess is caused by
+    the inertial sensors.
+    """
     realised, smooth = scale(mem, r + Receiver.SCALE), r + Receiver.SMOOTH_SCALE
     if mem[smooth + Scale.REDUCED] == 0.0:
         return realised
@@ -131,12 +148,14 @@ def realised_scatter(mem, r):
 
 @njit(_nrt=False)
 def realised_factor(mem, r):
-    """Factor on the covariance that a fix claims: as fixes scatter, where that is more than they claim.
+    """Factor on the claimed covariance of a fix.
 
-    Where they scatter less, what they have in common does not show between them (Kingston's receiver, believed by its
-    scatter alone, made the position worse by a quarter). It shows in the innovations behind a low pass, which are of
-    what the filter averages over: the larger of both is believed. Before any have shown it is half-way between the
-    scatter and the claim, as a logarithm.
+    If fixes scatter more than they claim, it is the ratio of both variances. If they scatter less, they may have a
+    common error, which differences between fixes do not show. (With the scatter alone, the position error with
+    Kingston's receiver was larger by a quarter.) Low-passed innovations show such an error, as they contain it together
+    with the errors of the state. So the factor is then the larger of two ratios: that of the scatter and that of the
+    low-passed innovations. Before there are any of these, the second ratio is the geometric mean of the first one and
+    1.
     """
     if mem[Head.ADAPT] == 0.0:
         return 1.0
@@ -147,25 +166,28 @@ def realised_factor(mem, r):
 
 @njit(_nrt=False)
 def excess_scatter(mem, r):
-    """Factor on the variance that fixes claim, as they scatter, where that is more."""
+    """Factor on the claimed variance of fixes if they scatter more than they claim, else 1."""
     return max(1.0, realised_factor(mem, r))
 
 
 @njit(_nrt=False)
 def _claimed(mem, at):
-    """Variance of a component that the fix at `at` claims, m^2."""
+    """Claimed variance of the fix at `at`, mean of both components, m^2."""
     return 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
 
 
 @njit(_nrt=False)
 def realised_variance(mem, r, at):
-    """Of a component of the fix at `at`, m^2, as fixes have been seen to scatter."""
+    """Realised variance of the fix at `at`, mean of both components, m^2."""
     return realised_factor(mem, r) * _claimed(mem, at)
 
 
 @njit(_nrt=False)
 def learn(mem, r, at, left_n, left_e):
-    """Remember the fix at `at`, which has been judged; left_n, left_e: predicted minus measured position after that."""
+    """Update the statistics of the receiver with the fix at `at`, after its verdict.
+
+    left_n, left_e: predicted minus measured position, m, after the correction.
+    """
     time, verdict = mem[at + Event.TIME], mem[at + Event.VERDICT]
     claimed = _mean_claimed(mem, r, at)
     lasting = _lasting(mem, r, at, claimed)
@@ -180,15 +202,15 @@ def learn(mem, r, at, left_n, left_e):
     mem[r + Nav.FIX_TIME] = time
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     beyond = mem[r + Nav.WEIGHTED] > 0.0 and mem[at + Event.NIS] > mem[Head.ROBUST_SIGMA] ** 2
-    # one that is refused ends the row: those before it were off by chance, or the receiver is wrong, not the filter
+    # a refused fix ends the row: the large innovations before it were chance or an error of the receiver, not of the state
     row_goes_on = verdict == Verdict.WEIGHTED or beyond and verdict != Verdict.REFUSED
     mem[r + Nav.WEIGHTED] = mem[r + Nav.WEIGHTED] + 1.0 if row_goes_on else 0.0
 
 
 @njit(_nrt=False)
 def _mean_claimed(mem, r, at):
-    """Variance that fixes claim, m^2: the mean of its logarithm over about as many as the position remembers, with the
-    fix at `at`."""
+    """Mean claimed variance of the fixes up to that at `at`, m^2. The logarithm is averaged, over about as many fixes
+    as determine the position."""
     level = math.log(_claimed(mem, at))
     if mem[r + Nav.FIX_TIME] == 0.0:
         mem[r + Nav.CLAIM_LEVEL] = level
@@ -198,11 +220,12 @@ def _mean_claimed(mem, r, at):
 
 @njit(_nrt=False)
 def _lasting(mem, r, at, claimed):
-    """Variance of the receiver's errors that last, m^2: what it claims, and fixes do not scatter.
+    """Variance of the slow errors of the receiver, m^2: the part of the claimed variance by which fixes do not scatter.
 
-    A receiver states how far off it may be, and fixes show of that what changes between them (`learn_scatter`). The
-    rest are errors of orbits, atmosphere and multipath: the filter follows them, its innovations stay white, and its
-    position is as far off. No receiver is without; a share counts as such. claimed: variance that fixes claim, m^2.
+    The claimed variance is that of the whole error. Differences between fixes show only the part that changes from fix
+    to fix (`learn_scatter`). The rest are slow errors: orbits, atmosphere, multipath. The filter follows them, so they
+    are in its position error although its innovations are white. Every receiver has such errors, so a small share of
+    the variance is the lower limit. claimed: mean claimed variance, m^2.
     """
     realised = realised_scatter(mem, r)
     least = LASTING_SHARE * realised * min(claimed, _claimed(mem, at))
@@ -211,22 +234,22 @@ def _lasting(mem, r, at, claimed):
 
 @njit(_nrt=False)
 def _learn_from_innovation(mem, r, at, interval, claimed, lasting):
-    """Learn from the innovations behind low passes what is wrong with their covariance, from the fix at `at`.
+    """Learn three scales and the noise of the accelerometers from the low-passed innovations up to the fix at `at`.
 
-    Innovations of a filter that is right are white with covariance S. Receivers whose errors last and filters whose
-    sensors are worse than assumed have innovations that last: the sum of n of them has a variance larger than n S, by
-    the factor 1 + 2 (sum of their autocorrelation) - (1 + rho) / (1 - rho) for a first-order process - and by so much
-    the covariance of what is learned from many fixes (velocity, attitude, biases) is too small. It is seen as the
-    variance of whitened innovations behind a first-order low pass, over the one that it has for white ones, and the
-    whole covariance is scaled by it (the a posteriori variance factor): no gain changes.
+    Innovations of a filter with a correct model are white with the covariance S. Slow errors of the receiver, or
+    sensors that are worse than assumed, make them correlated. The sum of n innovations then has a variance larger than
+    n S, by the factor 1 + 2 (sum of their autocorrelation), which is (1 + rho) / (1 - rho) for a first-order process.
+    The covariance of the states that are learned from many fixes (velocity, attitude, biases) is too small by this
+    factor. It is estimated as the variance of low-passed whitened innovations over that of white ones. The whole
+    covariance is multiplied by it (a posteriori variance factor), which changes no gain.
 
-    Errors of the receiver that last show behind a shorter low pass where the filter does not follow them at once
-    (`shown_share`), at rest above all. The same innovations show accelerometers that are noisier than assumed
-    (force_noise.py), but not beside a receiver whose claims are far too small. Where fixes are more precise than the
-    prediction, such noise shows in each innovation; the low pass would average it out.
+    Slow errors of the receiver are in innovations with a shorter low pass if the filter follows them slowly
+    (`shown_share`), mainly at rest. The same innovations show noise of the accelerometers beyond the assumed one
+    (force_noise.py). They are not used for this if the claimed variance is far too small. If fixes are more precise
+    than the prediction, each single innovation shows this noise, which the low pass would average out.
 
-    interval: s since the fix before. claimed: variance that fixes claim, lasting: of errors that last, as far as they
-    claim those, m^2.
+    interval: s since the previous fix. claimed: mean claimed variance, m^2. lasting: variance of slow errors by the
+    claim (`_lasting`), m^2.
     """
     l_nn = math.sqrt(mem[at + Event.S_NN])
     l_en = mem[at + Event.S_NE] / l_nn
@@ -252,24 +275,24 @@ def _learn_from_innovation(mem, r, at, interval, claimed, lasting):
     squared = 0.5 * (mem[followed] ** 2 + mem[followed + 1] ** 2) * variance
     tau = min(interval * variance / max(p, 1e-9 * variance), SLOWEST_RESPONSE)
     realised = realised_scatter(mem, r)
-    if interval <= SHORT_LOW_PASS:  # the low pass of rarer fixes does not part what lasts from their scatter
+    if interval <= SHORT_LOW_PASS:  # with rarer fixes the low pass does not separate slow errors from noise
         if realised < LARGEST_SCATTER:
             lasts = max(1.0 - realised, 0.0) * claimed
-            if p > 0.5 * variance:  # each fix is followed by more than half: its innovation alone shows what P lacks
+            if p > 0.5 * variance:  # the gain is above one half: a single innovation shows whether P is too small
                 alone = 0.5 * counted**2 * (u_n * u_n + u_e * u_e) * variance
                 learn_force_noise(mem, r, time, alone, variance, p, tau, lasts, 0.5 * p / variance)
             else:
                 learn_force_noise(mem, r, time, squared, white, p, tau, lasts, weight)
-        else:  # before that was known its scatter has passed for noise of the accelerometers
+        else:  # until now, noise of the fixes may have been learned as noise of the accelerometers
             reset_scale(mem, r + ForceNoise.SCALE)
     learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(tau) * lasting, white, 2, weight)
 
 
 @njit(_nrt=False)
 def _low_pass(mem, at, north, east, elapsed):
-    """A first-order low pass at mem[at], north and east, and its variance for white numbers of variance 1.
+    """Update a first-order low pass at mem[at]: north, east and its variance for a white input of variance 1.
 
-    elapsed: since the last ones, in time constants.
+    elapsed: time since the previous update over the time constant.
     """
     keep = math.exp(-elapsed)
     mem[at] += (1.0 - keep) * (north - mem[at])
@@ -279,17 +302,18 @@ def _low_pass(mem, at, north, east, elapsed):
 
 @njit(_nrt=False)
 def innovation_factor(mem, r):
-    """Realised over expected variance of the innovations behind a low pass, where it is above 1."""
+    """Ratio of the realised to the expected variance of low-passed innovations, at least 1."""
     return max(1.0, scale(mem, r + Receiver.INNOVATION_SCALE))
 
 
 @njit(_nrt=False)
 def shown_share(tau):
-    """Share of the variance of a first-order Gauss-Markov process with LASTING_TIME that is in low-passed innovations.
+    """Share of the variance of slow errors (first-order Gauss-Markov, LASTING_TIME) that is in low-passed innovations.
 
-    tau: s, within which the filter follows positions; velocities it follows with the damping 1 / sqrt(2). Its
-    innovations are such a process, nearly a random walk, behind s^2 / (s^2 + s / tau + 1 / (2 tau^2)). After the low
-    pass SHORT_LOW_PASS / (LASTING_TIME f (1 + f + f^2 / 2)) of the variance is left, f = SHORT_LOW_PASS / tau.
+    tau: s, time constant with which the filter follows positions; it follows velocities with the damping 1 / sqrt(2).
+    Such errors are nearly a random walk. Their part of the innovations is this process, filtered with the transfer
+    function s^2 / (s^2 + s / tau + 1 / (2 tau^2)). After the low pass it has the share SHORT_LOW_PASS / (LASTING_TIME f
+    (1 + f + f^2 / 2)) of the variance, with f = SHORT_LOW_PASS / tau.
     """
     f = SHORT_LOW_PASS / tau
     return min(SHORT_LOW_PASS / (LASTING_TIME * f * (1.0 + f + 0.5 * f * f)), LARGEST_SHOWN)
@@ -297,11 +321,12 @@ def shown_share(tau):
 
 @njit(_nrt=False)
 def learn_scatter(mem, r, at):
-    """Realised over claimed variance, from the second difference of the errors of three fixes about a second apart.
+    """Learn the ratio of the realised to the claimed variance from three fixes about a second apart.
 
-    Called with the innovation of the fix at `at` before the correction. Innovations, less what the corrections since
-    the first of the three have done to position and velocity, are errors of the receiver, of the inertial sensors in
-    that time, and of the position and velocity at the first, which change evenly: not in the second difference.
+    The event at `at` contains the innovation of the fix before the correction. The corrections of position and velocity
+    since the first of the three fixes are subtracted from the innovations. What is left are errors of the receiver,
+    errors of the inertial sensors during this time, and the errors of position and velocity at the first fix. The
+    latter change linearly with time, so the second difference does not contain them.
     """
     z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
     time, claimed = mem[at + Event.TIME], _claimed(mem, at)
@@ -312,7 +337,7 @@ def learn_scatter(mem, r, at):
         reopen(mem, r + Receiver.SCALE, changed)
         reset_scale(mem, r + Receiver.SLOW_SCALE)
         for i in (Receiver.FIRST + 1, Receiver.SECOND + 3):
-            mem[r + i] *= changed  # it is realised over what is claimed from now on, too
+            mem[r + i] *= changed  # the ratio refers to the new claimed variance
     _learn_from_line(mem, r, at, claimed)
     moved, second, first = r + Receiver.MOVED, r + Receiver.SECOND, r + Receiver.FIRST
     fits, since, length = True, time - mem[first], mem[second + 2]
@@ -333,26 +358,26 @@ def learn_scatter(mem, r, at):
         unseen = _unseen_acceleration(mem, r) * (0.5 * (since - length) * since) ** 2
         fits = learn_changes(mem, r + Receiver.SCALE, time, squared, part,
                              unseen + force_noise(mem, r) * noise_share, 2)
-        if since - length > SHORT_LOW_PASS:  # else innovations tell it
+        if since - length > SHORT_LOW_PASS:  # else it is learned from innovations
             learn_from_change(mem, r, time, squared, noise_share, realised_scatter(mem, r) * part + unseen)
-    # the next three begin with this fix, unless it is far off, which counts once
+    # the next three fixes begin with this one, unless it is an outlier: an outlier is counted only once
     mem[first], mem[first + 1], mem[second + 2] = time if fits else 0.0, claimed, 0.0
     mem[moved], mem[moved + 1], mem[moved + 2], mem[moved + 3] = z_n, z_e, 0.0, 0.0
 
 
 @njit(_nrt=False)
 def _unseen_acceleration(mem, r):
-    """Variance of an acceleration to north or east that is an error of the tilt, (m/s^2)^2."""
+    """Variance of a horizontal component of the acceleration error by the tilt error, (m/s^2)^2."""
     most = UNSEEN_ACCELERATION**2
     return min(tilt_variance(mem, r), most) if row_of(mem, Error.PHI_N) >= 0 else most
 
 
 @njit(_nrt=False)
 def _learn_from_line(mem, r, at, claimed):
-    """Realised over claimed variance at most, without the inertial sensors: three fixes of a vehicle that keeps its
-    velocity lie on a straight line, evenly in time, but for their errors; what the vehicle does besides adds to it.
+    """Learn an upper limit of the ratio of the realised to the claimed variance without the inertial sensors.
 
-    claimed: variance of the fix at `at`, m^2.
+    Three fixes of a vehicle with constant velocity deviate from uniform motion on a straight line only by their errors.
+    Acceleration of the vehicle increases the deviation. claimed: variance of the fix at `at`, m^2.
     """
     last, first = r + Receiver.LAST_TWO, r + Receiver.LAST_TWO + 3
     time, latitude, longitude = mem[at + Event.TIME], mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
@@ -361,7 +386,7 @@ def _learn_from_line(mem, r, at, claimed):
         return
     if mem[first] != 0.0 and whole < LONGEST_OF_THREE:
         part = step / whole
-        if mem[r + Receiver.SMOOTH_SCALE + Scale.REDUCED] == 0.0:  # begins with what the start has shown
+        if mem[r + Receiver.SMOOTH_SCALE + Scale.REDUCED] == 0.0:  # initial value: the scale learned so far
             mem[r + Receiver.SMOOTH_SCALE + Scale.LOG] = max(mem[r + Receiver.SCALE + Scale.LOG], 0.0)
         north = (mem[last + 1] - latitude + part * (latitude - mem[first + 1])) / mem[r + Nav.NORTH_SCALE]
         east = (mem[last + 2] - longitude + part * (longitude - mem[first + 2])) / mem[r + Nav.EAST_SCALE]
