@@ -88,7 +88,7 @@ def use_all_fixes(mem, r, since):
     that was learned from them is reset.
     """
     reset_scale(mem, r + ForceNoise.SCALE)
-    if mem[Head.LATERAL_SIGMA] > 0.0:  # else the time would never end: the constraint counts it
+    if mem[Head.LATERAL_SIGMA] > 0.0:  # only the lateral constraint counts this time down
         mem[r + Nav.USE_ALL_FIXES] = max(mem[r + Nav.USE_ALL_FIXES], min(since, USE_ALL_TIME))
 
 
@@ -98,8 +98,8 @@ def inflate_to_fit(mem, r, n, nis):
     with it.
 
     There are two limits. The standard deviation of the velocity is increased to the speed at most: an IMU that turns
-    the velocity causes an error of about this size. That of the attitude is increased to its initial value at most.
-    Returns whether the fix is consistent then; if not, it may be an outlier.
+    the velocity causes an error of about this size. That of each attitude angle is increased to that of an unknown
+    angle at most. Returns whether the fix is consistent then; if not, it may be an outlier.
     """
     if nis <= INFLATED_NIS:
         return True

@@ -41,7 +41,7 @@ Imu = HEAD.place(
     CHANGED=6,  # number of used samples in which the value changed
     CENTRE=6,  # running mean of the used samples
     RATE_SCATTER=1,  # (rad/s)^2, running variance of the angular rate
-    VARIED=1,  # number of used samples in which all values changed
+    VARIED=1,  # number of used samples in which at least one value changed
     SPIKE_SINCE=1,  # s, time of the last used sample
     USED=1,  # number of used samples
     FAULTS=Fault.SIZE)  # number of samples not used, by reason
@@ -59,12 +59,11 @@ LONGEST_SPIKE = 0.25
 LARGE_FORCE = 15.0
 #: rad/s, the same for the angular rate
 LARGE_RATE = 1.5
-#: number of repetitions in a row above which equal values are not chance, if the last digit of the sensor shows noise
+#: smallest number of repetitions in a row that is not chance, if the last digit of the sensor shows noise
 FEWEST_EQUAL = 2
 #: s, time for which values must be equal to count as frozen
 FROZEN_TIME = 0.3
-#: number of repetitions in a row above which equal values of a single axis are not chance, if it normally changes
-#: (ALWAYS)
+#: smallest number of repetitions in a row of a single axis that is not chance, if the axis normally changes (ALWAYS)
 FEWEST_STUCK = 5.0
 #: share of the samples with which an axis must have changed to be checked alone: an axis that changes less often has a
 #: coarse resolution
@@ -99,7 +98,7 @@ def check(mem, samples, k, dt, speed, contradicted, before=Fault.NONE):
         equal, most = min(equal, same), max(most, same)
         zero = zero and value == 0.0
         out = out or abs(value) > mem[Imu.MAX_FORCE + (i >= 3)]
-    if most >= FEWEST_EQUAL:  # rare with most sensors, so this costs little time
+    if most >= FEWEST_EQUAL:  # with most sensors no axis repeats itself this often
         for i in range(6):
             large = abs(mem[Imu.RAW + i]) > (LARGE_FORCE if i < 3 else LARGE_RATE)
             saturated = saturated or (large and mem[Imu.SAME + i] >= FEWEST_EQUAL)

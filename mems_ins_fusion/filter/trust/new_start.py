@@ -31,8 +31,7 @@ DIVERGED_AFTER = 2.0
 DIVERGED_SLOPE = 2.0
 #: smallest growth as a share of the size of the innovations: those of a receiver that has jumped do not grow
 DIVERGED_SHARE = 0.5
-#: largest probability of a slope by noise alone with which the slope is significant: one in a thousand rows of refused
-#: fixes
+#: a slope is significant if its probability by noise alone is below this: one in a thousand rows of refused fixes
 SIGNIFICANCE = 0.001
 #: largest scatter of refused fixes that agree about their line, in standard deviations of a fix
 AGREEMENT_SIGMAS = 2.0
@@ -124,7 +123,7 @@ def start_anew(mem, r, at):
 
     The estimated sensor errors are kept with twice the standard deviation, as they may be wrong, too.
     """
-    # after a decision of `bank.py`, the fixes may have been wrong, so this does not show that the IMU is wrong
+    # with other decisions of `bank.py`, the fixes may have been wrong instead of the IMU: not counted as a divergence
     due, mem[r + Hypothesis.START_DUE] = mem[r + Hypothesis.START_DUE], 0.0
     if due == hypotheses.START_WITHOUT_IMU:
         diverged = True

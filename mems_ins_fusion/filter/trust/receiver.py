@@ -154,8 +154,8 @@ def realised_factor(mem, r):
     common error, which differences between fixes do not show. (With the scatter alone, the position error with
     Kingston's receiver was larger by a quarter.) Low-passed innovations show such an error, as they contain it together
     with the errors of the state. So the factor is then the larger of two ratios: that of the scatter and that of the
-    low-passed innovations. Before there are any of these, the second ratio is the geometric mean of the first one and
-    1.
+    low-passed innovations, which counts as 1 if it is larger. Before there are any of these innovations, the second
+    ratio is the square root of the first one.
     """
     if mem[Head.ADAPT] == 0.0:
         return 1.0
@@ -202,7 +202,7 @@ def learn(mem, r, at, left_n, left_e):
     mem[r + Nav.FIX_TIME] = time
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     beyond = mem[r + Nav.WEIGHTED] > 0.0 and mem[at + Event.NIS] > mem[Head.ROBUST_SIGMA] ** 2
-    # a refused fix ends the row: the large innovations before it were chance or an error of the receiver, not of the state
+    # a refused fix ends the row: large innovations before it were chance or errors of the receiver, not of the state
     row_goes_on = verdict == Verdict.WEIGHTED or beyond and verdict != Verdict.REFUSED
     mem[r + Nav.WEIGHTED] = mem[r + Nav.WEIGHTED] + 1.0 if row_goes_on else 0.0
 
@@ -312,8 +312,8 @@ def shown_share(tau):
 
     tau: s, time constant with which the filter follows positions; it follows velocities with the damping 1 / sqrt(2).
     Such errors are nearly a random walk. Their part of the innovations is this process, filtered with the transfer
-    function s^2 / (s^2 + s / tau + 1 / (2 tau^2)). After the low pass it has the share SHORT_LOW_PASS / (LASTING_TIME f
-    (1 + f + f^2 / 2)) of the variance, with f = SHORT_LOW_PASS / tau.
+    function s^2 / (s^2 + s / tau + 1 / (2 tau^2)). After the low pass, its share of the variance is
+    SHORT_LOW_PASS / (LASTING_TIME f (1 + f + f^2 / 2)), with f = SHORT_LOW_PASS / tau.
     """
     f = SHORT_LOW_PASS / tau
     return min(SHORT_LOW_PASS / (LASTING_TIME * f * (1.0 + f + 0.5 * f * f)), LARGEST_SHOWN)
