@@ -103,7 +103,7 @@ def lasting(beside: np.ndarray, mask: np.ndarray) -> np.ndarray:
         z, s = beside[mask, :, k].T
         u = z / np.sqrt(s)
         there = np.isfinite(u)
-        if there.sum() < FEWEST_LASTING:
+        if there.sum() < FEWEST_LASTING or not np.any(u[there]):
             continue
         u = np.where(there, np.clip(u, -TAIL, TAIL), 0.0)
         power = (u**2).sum() / there.sum()
