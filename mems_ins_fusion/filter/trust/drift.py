@@ -7,8 +7,8 @@ standstills) show the drift. The mean of d^2 over its expectation is the factor 
 "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17, 1972).
 
 The turn-on bias of a sensor is part of the same state, but does not decay. So d is computed with and without decay, and
-the smaller one is used. Drift is learned in the strapdown filter with random walk or Gauss-Markov models. AR(p) models
-are used as configured, and in the planar filter slopes of the road would count as drift.
+the smaller one is used. Drift is learned with random walk or Gauss-Markov models. AR(p) models are used as configured,
+and it is not learned in the planar filter, where slopes of the road would count as drift.
 
 Correlated errors of the receiver, such as a time offset, also change the estimates. With fixes alone they cannot be
 told from drift. The ratio is then computed twice, as if correlated innovations (`variance_factor`) were caused entirely
