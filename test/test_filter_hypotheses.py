@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.stats import chi2, multivariate_normal
 from test_filter_contradiction import BOTH, Drive, a_state
 
-from mems_ins_fusion.filter.bank import Bank, _is_better, _restart_penalty
+from mems_ins_fusion.filter.bank import Bank, _compare_standstills, _is_better, _restart_penalty
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, element_at, state_at, velocity_variance
 from mems_ins_fusion.filter.trust import fix_drift
 from mems_ins_fusion.filter.trust.fix_drift import FORGETTING_TIME, FixDrift
@@ -39,6 +39,7 @@ from mems_ins_fusion.filter.trust.new_start import are_refused
 from mems_ins_fusion.filter.trust.new_start import note as note_refused
 from mems_ins_fusion.filter.trust.offset import Offset
 from mems_ins_fusion.filter.trust.receiver import Receiver
+from mems_ins_fusion.filter.trust.standstill import Standing
 
 S = np.array([[4.0, 1.0], [1.0, 9.0]])
 DRIFT = Hypothesis.OFFSET + Offset.VELOCITY
@@ -262,6 +263,21 @@ def test_fixes_are_right_where_a_filter_uses_them_and_where_the_imu_is_wrong(imu
     memory[r + Hypothesis.SCORE], other[r + Hypothesis.SCORE], memory[r + Hypothesis.IMU_NATS] = 0.0, -1.0, imu_nats
     # then the filter that uses them is published where that is more
     assert _is_better(memory, other, r) == is_better
+
+
+@pytest.mark.parametrize('first_stands, second_stands', [(True, False), (False, True), (True, True)])
+def test_a_filter_that_moves_is_less_likely_while_the_vehicle_is_as_quiet_as_at_rest(first_stands, second_stands):
+    # given two filters, at rest with a standstill detected just now, or in motion at 10 m/s
+    memory, other, r = a_jump()
+    for one, stands in ((memory, first_stands), (other, second_stands)):
+        one[r + Nav.V_N:r + Nav.V_N + 2] = (0.0, 0.0) if stands else (10.0, 0.0)
+        one[r + Standing.TIME] = one[r + Nav.TIME] - (0.1 if stands else 100.0)
+    before = memory[r + Hypothesis.SCORE], other[r + Hypothesis.SCORE]
+    _compare_standstills(memory, other, r, 0.5)
+    # then the one in motion is less likely by a factor of twenty a second
+    for one, score, stands in ((memory, before[0], first_stands), (other, before[1], second_stands)):
+        lost = 0.0 if stands else 0.5 * math.log(20.0)
+        assert score - one[r + Hypothesis.SCORE] == pytest.approx(lost, rel=0.01)
 
 
 @BOTH

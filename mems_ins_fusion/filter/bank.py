@@ -42,7 +42,7 @@ from .trust.line import FEWEST_ON_LINE, Line
 from .trust.offset import Offset
 from .trust.receiver import CLAIM_CHANGE, Receiver, excess_scatter
 from .trust.scale import Scale
-from .trust.standstill import Standing
+from .trust.standstill import Standing, moves, stands
 
 #: columns of the head of the first filter
 Bank = HEAD.place(
@@ -60,6 +60,10 @@ EARLIER = (0.0, 2.0, 4.0, 8.0)
 #: nats: earlier begins are tried only if the second filter's score is lower by less (a trial takes 1 ms for 8 s at 100
 #: Hz), and a second filter that uses no fixes is published only if its score is higher by more. Chosen, not measured
 SERIOUS_NATS = 4.0
+#: nats per second, log likelihood ratio, at rest to in motion, while a standstill is detected: of the seconds of motion
+#: above 1 m/s the detector takes one in 270 for a standstill (docs/standstill.md), one in 20 counts here, as such
+#: seconds come together
+STANDSTILL_NATS = 3.0
 #: both filters agree where the square of each difference of position, velocity and heading is below this share of the
 #: smaller variance. Chosen, not measured
 AGREED_SHARE = 0.1
@@ -110,6 +114,7 @@ def compare(memory):
         memory[r + Hypothesis.FIXES_WRONG] = memory[r + Hypothesis.OFFSET + Offset.VARIANCE] = memory[Bank.OPEN] = 0.0
         _publish_all(memory, other, r)
         return
+    _compare_standstills(memory, other, r, interval)
     _start_without_imu(memory, other, r)
     if memory[r + Hypothesis.FIXES_WRONG] != 0.0 and new_start.are_refused(other, r):
         _start_second(memory, other, r, time - memory[Bank.WRONG_SINCE])  # they have changed once more
@@ -189,6 +194,17 @@ def _reach_to(memory, other, r, off, share, sigma):
     times = min(times, 1.0)  # if both positions agree within their sigmas, the other's velocity is sufficient
     memory[spread + 2] = times * (its[2] - mine[2] - off[2])
     memory[spread + 3] = times * (its[3] - mine[3] - off[3])
+
+
+@njit(_nrt=False)
+def _compare_standstills(memory, other, r, interval):
+    """Lower the score of a filter that certainly moves while a standstill is detected in the other one, whose state
+    permits it. interval: s between the latest two fixes."""
+    nats = STANDSTILL_NATS * min(max(interval, 0.0), hypotheses.LONGEST_INTERVAL)
+    if stands(memory, r) and moves(other, r):
+        hypotheses.add_prior(other, r, -nats)
+    elif stands(other, r) and moves(memory, r):
+        hypotheses.add_prior(memory, r, -nats)
 
 
 @njit(_nrt=False)
