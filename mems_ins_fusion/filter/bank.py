@@ -357,7 +357,7 @@ def _search_begin(memory, other, r, interval):
         return
     _refuse_since(memory, other, latest - since, interval)
     other[r + Hypothesis.SCORE] += fixes_wrong - hypotheses.score(other, r)
-    other[r + Hypothesis.IMU_NATS] = imu_wrong - fixes_wrong
+    other[r + Hypothesis.IMU_NATS] = imu_wrong + extrapolation.odds(other, r) - fixes_wrong
     memory[Bank.WRONG_SINCE] = latest - since
 
 
