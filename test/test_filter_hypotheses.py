@@ -11,7 +11,15 @@ from scipy.linalg import expm
 from scipy.stats import chi2, multivariate_normal
 from test_filter_contradiction import BOTH, Drive, a_state
 
-from mems_ins_fusion.filter.bank import Bank, _compare_standstills, _is_better, _restart_penalty
+from mems_ins_fusion.filter.bank import (
+    EARLIER,
+    Bank,
+    _compare_standstills,
+    _is_better,
+    _refuse_since,
+    _restart_penalty,
+    _search_begin,
+)
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, element_at, state_at, velocity_variance
 from mems_ins_fusion.filter.trust import fix_drift
 from mems_ins_fusion.filter.trust.fix_drift import FORGETTING_TIME, FixDrift
@@ -242,6 +250,26 @@ def a_jump():
     other, r = memory[int(memory[Bank.SIZE]):], state_at(memory, int(memory[Head.SAMPLES]))
     assert memory[Bank.OPEN] == 1.0 and memory[r + Hypothesis.FIXES_WRONG] == 1.0
     return memory, other, r
+
+
+def test_each_hypothesis_has_the_score_of_its_own_best_begin():
+    # given a filter whose accelerometer has been off for 4.5 s, and the second one, which takes the fixes for wrong
+    drive = Drive(1.0, 1.5)
+    drive.samples[1500:, 1] += 1.7
+    drive.time, drive.position, drive.samples = drive.time[:35], drive.position[:35], drive.samples[:1726]
+    _, memory, _, _, _ = drive.through('planar')
+    other, r = memory[int(memory[Bank.SIZE]):], state_at(memory, int(memory[Head.SAMPLES]))
+    since, fixes_wrong, imu_wrong = memory[Bank.WRONG_SINCE], [], []
+    for back in EARLIER:
+        _refuse_since(memory, other, since - back, 1.0)
+        fixes_wrong.append(other[r + Hypothesis.SCORE])
+        imu_wrong.append(other[r + Hypothesis.SCORE] + other[r + Hypothesis.IMU_NATS])
+    # when other begins are tried, of which the best one is another for a wrong receiver and for a wrong IMU
+    assert np.argmax(fixes_wrong) != np.argmax(imu_wrong)
+    _search_begin(memory, other, r, 1.0)
+    # then either has the score of its best
+    assert other[r + Hypothesis.SCORE] == pytest.approx(max(fixes_wrong))
+    assert other[r + Hypothesis.SCORE] + other[r + Hypothesis.IMU_NATS] == pytest.approx(max(imu_wrong))
 
 
 def test_what_each_statement_does_not_know_of_the_position_is_published_on_all_sides():
