@@ -101,12 +101,12 @@ def p_of_so_few(count: float, of: float, share: float) -> float:
 
 def effective_number(values: np.ndarray) -> float:
     """Number of independent tests that are worth as much as k tests of `values` (k, n), which are correlated: from 1,
-    if all rows go together, to k. Rows of zeros count as no test.
+    if all rows go together, to k. Rows that are constant have no correlation and count as no test.
 
     Source: D. R. Nyholt, "A simple correction for multiple testing for single-nucleotide polymorphisms in linkage
     disequilibrium with each other", American Journal of Human Genetics 74 (2004), by the mean square correlation.
     """
-    values = values[values.any(axis=1)]
+    values = values[np.ptp(values, axis=1) > 0.0]
     k = len(values)
     if k < 2:
         return 1.0
