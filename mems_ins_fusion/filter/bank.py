@@ -23,6 +23,7 @@ from .memory import (
     Head,
     Nav,
     Sample,
+    copy,
     element_at,
     event_at,
     kept_state,
@@ -105,8 +106,8 @@ def compare(memory):
         _start_from_fixes(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0:  # the state before the fixes is no longer in the memory: there is no second filter
             return
-    for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.CHANGING_SIZE):  # it is the same receiver
-        other[r + i] = memory[r + i]
+    scales = r + Receiver.SMOOTH_SCALE  # it is the same receiver
+    copy(other, scales, memory, scales, Receiver.SCALE + Scale.CHANGING_SIZE - Receiver.SMOOTH_SCALE)
     if (excess_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]
             or memory[r + Standing.CONTRADICTED] == time and memory[r + Hypothesis.FIXES_WRONG] == 0.0):
         # the fixes did not fit because they scatter more than was known, or because the vehicle did not stand: they are
@@ -170,7 +171,8 @@ def _publish_all(memory, other, r):
     total, at = 1.0 + its + without_imu, r + Hypothesis.IMU_OFFSET
     sigma = math.sqrt(0.5 * (other[element_at(other, r, 0, 0)] + other[element_at(other, r, 1, 1)]))
     _reach_to(memory, other, r, (0.0, 0.0, 0.0, 0.0), its / total, sigma)
-    off = refusing[at], refusing[at + 1], refusing[at + 2], refusing[at + 3]
+    velocity = at + Offset.VELOCITY
+    off = refusing[at], refusing[at + 1], refusing[velocity], refusing[velocity + 1]
     _reach_to(memory, refusing, r, off, without_imu / total, math.sqrt(refusing[at + Offset.VARIANCE]))
 
 
@@ -290,10 +292,10 @@ def _start_without_imu(memory, other, r):
     _copy(memory, other, state_before(memory, before - memory[Head.MAX_DELAY]))
     return_to(other, k)
     start = state_at(other, k)
-    for i in range(Hypothesis.IMU_OFFSET, Hypothesis.IMU_OFFSET + Offset.SIZE):  # with what the latest fix has told
-        other[start + i] = memory[r + i]
+    offset = Hypothesis.IMU_OFFSET  # with what the latest fix has told
+    copy(other, start + offset, memory, r + offset, Offset.SIZE)
     other[start + Hypothesis.FIXES_WRONG] = 0.0
-    velocity = r + Hypothesis.IMU_OFFSET + Offset.VELOCITY
+    velocity = r + offset + Offset.VELOCITY
     squared = 0.5 * (memory[velocity] ** 2 + memory[velocity + 1] ** 2)
     learn_from_velocity(other, start, time, squared, time - memory[Bank.WRONG_SINCE])
     _start_anew(other, k, hypotheses.START_WITHOUT_IMU)
@@ -312,7 +314,7 @@ def _is_better(memory, other, r):
     its, mine = hypotheses.score(other, r), hypotheses.score(memory, r)
     if other[r + Hypothesis.FIXES_WRONG] == 0.0:
         if memory[r + Hypothesis.FIXES_WRONG] != 0.0:
-            its = hypotheses.either(its, _imu_wrong_score(memory, r))  # the fixes are right in both
+            its = np.logaddexp(its, _imu_wrong_score(memory, r))  # the fixes are right in both
         return its > mine
     return (its - mine > SERIOUS_NATS and its > _imu_wrong_score(other, r)
             and hypotheses.strayed_nats(other, r) < -SERIOUS_NATS
@@ -343,19 +345,21 @@ def _search_begin(memory, other, r, interval):
     Faults of receiver and IMU begin independently, so each hypothesis keeps the score of its best begin.
     """
     latest, since = memory[Bank.WRONG_SINCE], 0.0
-    fixes_wrong = imu_wrong = best = -math.inf
+    fixes_wrong = imu_wrong = best = tried = -math.inf
     for back in EARLIER:
         score = _refuse_since(memory, other, latest - back, interval)
         if score == -math.inf:
             break
+        tried = back
         its = _imu_wrong_score(other, r)
         fixes_wrong, imu_wrong = max(fixes_wrong, score), max(imu_wrong, its)
-        either = hypotheses.either(score, its)
+        either = np.logaddexp(score, its)
         if either > best:
             best, since = either, back
-    if best == -math.inf:
+    if tried == -math.inf:
         return
-    _refuse_since(memory, other, latest - since, interval)
+    if since != tried:
+        _refuse_since(memory, other, latest - since, interval)
     other[r + Hypothesis.SCORE] += fixes_wrong - hypotheses.score(other, r)
     other[r + Hypothesis.IMU_NATS] = imu_wrong + extrapolation.odds(other, r) - fixes_wrong
     memory[Bank.WRONG_SINCE] = latest - since
@@ -364,19 +368,16 @@ def _search_begin(memory, other, r, interval):
 @njit(_nrt=False)
 def _copy(memory, other, first):
     """Copy `memory` to `other`, without states before number `first`, to which `other` will not return."""
-    for i in range(int(memory[Head.ROWS_AT])):
-        other[i] = memory[i]
+    copy(other, 0, memory, 0, int(memory[Head.ROWS_AT]))
     first = kept_state(memory, first)
     for k in range(first, int(memory[Head.SAMPLES]) + 1):
         row, sample = state_at(memory, k), sample_at(memory, k)
-        for i in range(row, row + int(memory[Head.WIDTH]) if kept_state(memory, k) == k else row):
-            other[i] = memory[i]
-        for i in range(sample, sample + Sample.SIZE):
-            other[i] = memory[i]
-    for i in range(int(memory[Head.EVENTS_AT]), event_at(memory, int(memory[Head.EVENTS]))):
-        other[i] = memory[i]
-    for i in range(int(memory[Head.SCRATCH_AT]), int(memory[Bank.SIZE])):
-        other[i] = memory[i]
+        if kept_state(memory, k) == k:
+            copy(other, row, memory, row, int(memory[Head.WIDTH]))
+        copy(other, sample, memory, sample, Sample.SIZE)
+    events, scratch = int(memory[Head.EVENTS_AT]), int(memory[Head.SCRATCH_AT])
+    copy(other, events, memory, events, event_at(memory, int(memory[Head.EVENTS])) - events)
+    copy(other, scratch, memory, scratch, int(memory[Bank.SIZE]) - scratch)
     other[Head.FORGOTTEN] = max(memory[Head.FORGOTTEN], time_of(memory, first))
 
 

@@ -42,7 +42,9 @@ Hypothesis = ROW.place(
     OUTLIER_NATS=1,  # nats: log likelihood ratio of the latest fix, an outlier to what the filter assumes
     FIXES_WRONG=1,  # 1: the hypothesis is that the fixes are wrong since some time. Then:
     OFFSET=Offset.SIZE,  # drifting offset of the fixes, predicted minus measured (offset.py); variance 0: no fix yet
-    STAYS=4,  # constant offset: north, east (m), variance (m^2); and the probability that it is constant
+    STAYS=2,  # m, constant offset of the fixes, north and east
+    STAYS_VARIANCE=1,  # m^2, its variance on each axis
+    STAYS_PROBABILITY=1,  # probability that the offset is constant
     ENDED=1,  # probability that the fault has ended at some fix, over the probability that it goes on
     IMU_NATS=1,  # nats: log likelihood ratio, a wrong IMU and right fixes to wrong fixes; then
     IMU_OFFSET=Offset.SIZE,  # the error of this filter, which uses no fixes (offset.py)
@@ -165,12 +167,6 @@ def score(row, r):
 
 
 @njit(_nrt=False)
-def either(first, second):
-    """Nats: score of the hypothesis that one of two hypotheses is true, from their scores."""
-    return max(first, second) + math.log1p(math.exp(-abs(first - second)))
-
-
-@njit(_nrt=False)
 def reach(share, distance, sigma):
     """Standard deviation, m, that another hypothesis adds to the published position in its direction.
 
@@ -191,30 +187,31 @@ def _density_if_wrong(mem, r, z_n, z_e, r_nn, late_n, late_e, anywhere, interval
     fix about its offset; late: m, one sigma of what an undeclared time offset adds, along the velocity.
     """
     at, stays = r + Hypothesis.OFFSET, r + Hypothesis.STAYS
+    variance, probability = r + Hypothesis.STAYS_VARIANCE, r + Hypothesis.STAYS_PROBABILITY
     goes_on = jumped = 0.0
     if mem[at + Offset.VARIANCE] != 0.0:
         offset.predict(mem, at, interval, RECEIVER_WALK)
-        mem[stays + 2] += STAYS_WALK * interval * r_nn
+        mem[variance] += STAYS_WALK * interval * r_nn
         changes = 1.0 - math.exp(-FAULT_END_RATE * interval)
         jumps = max(changes, OUTLIER_SHARE)
-        share = mem[stays + 3] + changes * (0.5 - mem[stays + 3])
-        s, s_stays = mem[at + Offset.VARIANCE] + r_nn, mem[stays + 2] + r_nn
+        share = mem[probability] + changes * (0.5 - mem[probability])
+        s, s_stays = mem[at + Offset.VARIANCE] + r_nn, mem[variance] + r_nn
         if_drifts = (1.0 - share) * offset.density(z_n - mem[at], z_e - mem[at + 1], s, late_n, late_e)
         if_stays = share * offset.density(z_n - mem[stays], z_e - mem[stays + 1], s_stays, late_n, late_e)
         goes_on, jumped = (1.0 - jumps) * (if_drifts + if_stays), jumps * anywhere
     if goes_on <= jumped:
         offset.begin(mem, at, z_n, z_e, r_nn, DRIFT_SIGMA**2, 0.0)
-        mem[stays], mem[stays + 1], mem[stays + 2], mem[stays + 3] = z_n, z_e, r_nn, 0.5
+        mem[stays], mem[stays + 1], mem[variance], mem[probability] = z_n, z_e, r_nn, 0.5
         return goes_on + jumped if goes_on != 0.0 else anywhere
     misfits = (z_n - mem[at]) ** 2 + (z_e - mem[at + 1]) ** 2 > SIGNIFICANT_SIGMAS**2 * s
     offset.correct(mem, at, z_n, z_e, r_nn)
-    gain = mem[stays + 2] / s_stays
+    gain = mem[variance] / s_stays
     mem[stays] += gain * (z_n - mem[stays])
     mem[stays + 1] += gain * (z_e - mem[stays + 1])
-    mem[stays + 2] = gain * r_nn
-    mem[stays + 3] = if_stays / (if_drifts + if_stays)
-    if misfits and mem[stays + 3] > STAYS_CERTAIN:
-        offset.begin(mem, at, mem[stays], mem[stays + 1], mem[stays + 2], DRIFT_SIGMA**2, 0.0)
+    mem[variance] = gain * r_nn
+    mem[probability] = if_stays / (if_drifts + if_stays)
+    if misfits and mem[probability] > STAYS_CERTAIN:
+        offset.begin(mem, at, mem[stays], mem[stays + 1], mem[variance], DRIFT_SIGMA**2, 0.0)
     return goes_on + jumped
 
 

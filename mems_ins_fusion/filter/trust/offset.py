@@ -98,10 +98,11 @@ def correct(mem, at, north, east, variance):
     p = at + Offset.VARIANCE
     xx, xv, xa = mem[p], mem[p + 1], mem[p + 3]
     s, n, e = xx + variance, north - mem[at], east - mem[at + 1]
-    for k in range(3):
-        gain = mem[p + (0, 1, 3)[k]] / s
-        mem[at + 2 * k] += gain * n
-        mem[at + 2 * k + 1] += gain * e
+    for i in range(2):
+        z = n if i == 0 else e
+        mem[at + i] += xx / s * z
+        mem[at + Offset.VELOCITY + i] += xv / s * z
+        mem[at + Offset.ACCELERATION + i] += xa / s * z
     mem[p + 2] -= xv * xv / s
     mem[p + 4] -= xv * xa / s
     mem[p + 5] -= xa * xa / s
