@@ -106,7 +106,7 @@ NEVER = {
     'frozen samples': {'trust.imu_faults.FROZEN_TIME': 1e9},
     'sensors freed after a restart': {'advance.SHORTEST_RESTART': 1e9},
     'constraint left out where it is not kept': {'constraints.CONSTRAINT_OFF': 1e9},
-    'standstill denied by speed': {'constraints.STILL_SPEED': 1e3},
+    'standstill denied by speed': {'trust.standstill.STOPS_PER_CREEP': 1e9},
     'standstill denied by turning': {'constraints.STILL_RATE': 1e3},
     'a heading in doubt where a gyroscope is off at a standstill': {'trust.gyroscopes.LONGEST_UNSEEN': 0.0},
     'gyroscopes whose error jumps': {'trust.gyroscopes.JUMP_SIGMAS': 1e9},

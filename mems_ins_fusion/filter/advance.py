@@ -155,8 +155,8 @@ def take_sample(memory, samples, i):
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
         still = is_still(memory, sample, dt, speed, sigma, bridged)
-        # a stuck accelerometer looks still although the vehicle may move
-        memory[sample + Sample.STILL] = still if still != 0.0 and not imu_faults.is_stuck(memory, dt) else 0.0
+        if still and not imu_faults.is_stuck(memory, dt):  # a stuck accelerometer looks still in motion, too
+            memory[sample + Sample.STILL] = memory[nonnegative(sample_at(memory, k - 1)) + Sample.STILL] + dt
     _refuse_ahead(memory, time)
     advance(memory, k)
     memory[Head.SAMPLES] = k

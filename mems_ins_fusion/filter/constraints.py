@@ -3,6 +3,8 @@ sideways nor upwards. Each is applied ten times a second, unless its innovations
 """
 from __future__ import annotations
 
+import math
+
 from mems_ins_fusion.compiled import njit
 
 from .measurements import acceleration, non_holonomic, standstill
@@ -25,7 +27,7 @@ from .memory import (
 from .prediction import set_radii
 from .trust import contradiction, gyroscopes, hypotheses, new_start, usual_speed
 from .trust.force_noise import force_noise
-from .trust.standstill import Standing, fixes_show_motion, wheels_turn
+from .trust.standstill import Standing, fixes_show_motion, rather_stands, wheels_turn
 from .trust.white_noise import Shown, hides_turns
 from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_update, product, project, update
 
@@ -36,10 +38,8 @@ CONSTRAINT_INTERVAL = 0.1
 #: application has a smaller variance. This is the largest divisor of the variance, reached at 5 Hz. Chosen, not
 #: measured
 LARGEST_DIVISOR = 2.0
-#: m/s: a standstill that the accelerometers show is accepted only if the estimated speed is below this (plus three
-#: sigma, added as squares): on a smooth road, or in a creep of traffic, the accelerometers are as quiet as at rest
-STILL_SPEED = 0.3
-#: rad/s: and only if the turn rate is below this (plus three sigma, added as squares). A robot that turns on the spot
+#: rad/s: a standstill that the accelerometers show is accepted only if the turn rate is below this (plus three sigma,
+#: added as squares). A robot that turns on the spot
 #: about its IMU is at rest for the accelerometers; its turns take 40 s at the most, which is this rate. A smaller error
 #: of a gyroscope is accepted as a standstill, so that it is corrected there
 STILL_RATE = 0.15
@@ -73,7 +73,7 @@ def constrain(mem, r, sample):
     yaw = yaw_state(mem)
     if still:
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
-        agrees = squared < STILL_SPEED**2 + 9.0 * velocity_variance(mem, r)
+        agrees = rather_stands(math.sqrt(squared), velocity_variance(mem, r), mem[sample + Sample.STILL])
         # an estimated speed contradicts a standstill (a smooth, straight creep), but not where a gyroscope shows a
         # turn: then the gyroscope is wrong, and has made the velocity wrong as well
         still = ((agrees or _turns(mem, r, sample, n, 0.0, gyroscopes.JUMP_SIGMAS))

@@ -384,7 +384,7 @@ class _Sample(NamedTuple):
     W_X: int = column()
     W_Y: int = column()
     W_Z: int = column()
-    STILL: int = column()  # 1 at rest
+    STILL: int = column()  # s for which the samples have been as quiet as at rest; 0: this one is not
     FAULT: int = column()  # why it is replaced by straight motion, `trust.imu_faults.Fault`; 0: it is used
     CONSTRAINT: int = column()  # kind of the constraint applied; 0: none
     Z: int = column(3)  # innovation of the constraint

@@ -8,7 +8,6 @@ import numpy as np
 
 from ...navigation.frames import ANGLE_DIGITS, FLU_TO_FRD, rotation_from_rpy
 from ..config import MOUNTING_STATES, FilterConfig
-from ..constraints import STILL_SPEED
 from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index, newest_row, variance_factor
 from ..trust.white_noise import NOTEWORTHY, White
 
@@ -37,6 +36,7 @@ LONGEST_SHAKEN = 60.0
 #: number of refused fixes in a row that show a boat if they move on while the IMU shows a standstill. The fixes of a
 #: receiver that jumps do not move on
 ADRIFT = 10
+LOW_SPEED = 0.3  # m/s: the filter takes the vehicle for one at rest while its speed is below this
 FARTHEST_ADRIFT = 10.0  # m by which these fixes have to move: fixes of a parked vehicle wander by less
 
 
@@ -125,7 +125,7 @@ def _is_adrift(fixes: np.ndarray) -> bool:
     refused = fixes[:, Event.VERDICT] == Verdict.REFUSED
     if refused.sum() < ADRIFT:  # the usual case, without the rest
         return False
-    refused &= np.hypot(fixes[:, Event.V_N], fixes[:, Event.V_E]) < STILL_SPEED
+    refused &= np.hypot(fixes[:, Event.V_N], fixes[:, Event.V_E]) < LOW_SPEED
     off = np.hypot(fixes[:, Event.Z_N], fixes[:, Event.Z_E])
     gone = [np.ptp(off[k - ADRIFT:k]) for k in range(ADRIFT, len(fixes) + 1) if refused[k - ADRIFT:k].all()]
     return max(gone, default=0.0) > FARTHEST_ADRIFT
