@@ -74,6 +74,10 @@ LASTING_SHARE = 0.05
 #: s, time constant of slow errors: that of multipath of a moving vehicle is shorter, that of atmosphere and orbits
 #: longer
 LASTING_TIME = 60.0
+#: s, upper limit of this time constant: what the ionosphere and the orbits add to a position changes within tens of
+#: minutes. So slow errors that innovations do not show are not smaller than claimed, they may only be slower than
+#: LASTING_TIME. Innovations show them in proportion to their variance over their time constant
+SLOWEST_LASTING_TIME = 1000.0
 #: upper limit of the share of the variance of slow errors that is in low-passed innovations, reached at rest
 LARGEST_SHOWN = 0.3
 #: upper limit of the variance of slow errors, over the larger of the claimed and the realised variance: a sigma wrong
@@ -195,7 +199,7 @@ def learn(mem, r, at, left_n, left_e):
         _learn_from_innovation(mem, r, at, time - mem[r + Nav.RESIDUAL_TIME], claimed, lasting)
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
         mem[r + Nav.VARIANCE_FACTOR] = scale(mem, r + Receiver.INNOVATION_SCALE)
-        mem[r + Nav.LASTING] = min(scale(mem, r + Receiver.LASTING_SCALE) * lasting,
+        mem[r + Nav.LASTING] = min(_lasting_factor(mem, r) * lasting,
                                    LARGEST_LASTING * max(realised_scatter(mem, r), 1.0) * claimed)
     mem[r + Nav.RESIDUAL_TIME] = time
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
@@ -233,6 +237,15 @@ def _lasting(mem, r, at, claimed):
 
 
 @njit(_nrt=False)
+def _lasting_factor(mem, r):
+    """Factor on the variance of slow errors by the claim. Innovations tell it for each time constant of these errors:
+    from LASTING_TIME up to SLOWEST_LASTING_TIME. The claim is believed where it is between both, else the nearer one.
+    """
+    realised = scale(mem, r + Receiver.LASTING_SCALE)
+    return realised if realised > 1.0 else min(realised * SLOWEST_LASTING_TIME / LASTING_TIME, 1.0)
+
+
+@njit(_nrt=False)
 def _learn_from_innovation(mem, r, at, interval, claimed, lasting):
     """Learn three scales and the noise of the accelerometers from the low-passed innovations up to the fix at `at`.
 
@@ -267,7 +280,9 @@ def _learn_from_innovation(mem, r, at, interval, claimed, lasting):
     squared = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2]
     weight = min(interval / (2.0 * LONG_LOW_PASS), 1.0)
     if mem[r + Receiver.SLOW_SCALE + Scale.REDUCED] == 0.0:
-        mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(factor)
+        # rarer fixes than the low pass differ by all errors that are not common to several of them
+        mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(
+            factor if interval <= SHORT_LOW_PASS else realised_scatter(mem, r))
     learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claim, p, 2, weight)
     learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, weight)
 
