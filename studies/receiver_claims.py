@@ -6,8 +6,9 @@ The drives of studies/vehicle.py, fixes that scatter by 1.5 m. Each row is a rat
 than the scatter: RMSE and largest error from the first estimate on, both also as a multiple of those with the right
 claim at that rate, and how often the 95 % ellipse held the truth. In the rows *wanders* an error of 2 m with a
 correlation time of 60 s, of which the receiver says nothing, comes on top; *early* are fixes stamped 0.8 s before
-their time. *Scatter k times*: for two minutes in the middle, as among houses, with the claim as before; errors of that
-time only, and in place of `x right` as multiples of those of the fixes.
+their time. *Slow*: 2 m with that correlation time and 0.3 m of white noise, both claimed; *scatter k times*: for two
+minutes in the middle, as among houses, with the claim as before; errors of that time only. Of both, in place of
+`x right` are multiples of the errors of the fixes.
 """
 from __future__ import annotations
 
@@ -32,8 +33,12 @@ SCATTER = 1.5  # m
 FASTEST = 10.0  # Hz: the others are every so many fixes of that
 EARLY = 0.8  # s
 TIMES, HOUSES = (3.0, 6.0, 20.0), 120.0  # times SCATTER, for so long, s
+SLOW = {f'slow, {tau:g} s': tau for tau in (60.0, 300.0, 1000.0)}  # s, correlation times
+SLOW_SIGMA, SLOW_WHITE = 2.0, 0.3  # m, of these errors and of the noise beside them
 RECEIVERS = {'white': GnssNoise(SCATTER, rate=FASTEST),
-             'wanders': GnssNoise(SCATTER, rate=FASTEST, coloured_sigma=2.0, coloured_tau=60.0)}
+             'wanders': GnssNoise(SCATTER, rate=FASTEST, coloured_sigma=2.0, coloured_tau=60.0),
+             **{name: GnssNoise(SLOW_WHITE, rate=FASTEST, coloured_sigma=SLOW_SIGMA, coloured_tau=tau)
+                for name, tau in SLOW.items()}}
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,17 @@ def among_houses(recording: Recording, times: float) -> Outcome:
     return replace(outcome(replace(recording, gnss=moved), middle), fixes=(rms(off), off.max()))
 
 
+def slow(recording: Recording, rate: float) -> Outcome:
+    """Of a receiver of SLOW, which claims what it has."""
+    claiming = with_claim(recording, rate, np.hypot(SLOW_SIGMA, SLOW_WHITE) / SCATTER)
+    gnss, truth = claiming.gnss, claiming.reference
+    meridian, prime_vertical = radii(gnss.latitude)
+    off = np.hypot(meridian * (gnss.latitude - np.interp(gnss.stamp, truth.stamp, truth.latitude)),
+                   prime_vertical * np.cos(gnss.latitude)
+                   * (gnss.longitude - np.interp(gnss.stamp, truth.stamp, truth.longitude)))
+    return replace(outcome(claiming), fixes=(rms(off), off.max()))
+
+
 def outcome(recording: Recording, middle: int | None = None) -> Outcome:
     """Of the whole drive, or within HOUSES about `middle`, ns."""
     values = table.check({'reference_lever_arm': [0.0, 0.0, 0.0]})
@@ -97,6 +113,7 @@ def of_recordings(found: dict[str, Recording], rates=RATES, claims=CLAIMS):
                     for claim in claims]
         results += [((rate, 'wanders'), outcome(with_claim(found['wanders'], rate, 1.0))),
                     ((rate, 'early'), outcome(early(with_claim(found['white'], rate, 1.0))))]
+        results += [((rate, name), slow(found[name], rate)) for name in SLOW]
         results += [((rate, f'scatter {times:g} times'), among_houses(with_claim(found['white'], rate, 1.0), times))
                     for times in TIMES]
     return results
@@ -113,7 +130,7 @@ def lines(results: dict, drives: int):
     for (rate, special), found in results.items():
         rmse, largest = _size(found)
         right = _size(results[(rate, 'claims 1 of it')])
-        if special.startswith('scatter'):
+        if special.startswith(('scatter', 'slow')):
             right = rms(np.array([o.fixes[0] for o in found])), max(o.fixes[1] for o in found)
         held = [100 * o.inside.mean() if len(o.inside) else 0.0 for o in found]
         yield (f'| {rate:g} Hz | {special} | {rmse:.2f} | {rmse / right[0]:.2f} | {largest:.1f} | '

@@ -23,6 +23,7 @@ from filter_support import (
 )
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.signal import lfilter
+from scipy.stats import chi2
 
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import position_errors
@@ -39,7 +40,7 @@ from mems_ins_fusion.filter.memory import (
     variance_factor,
     views,
 )
-from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, TWIST_COVARIANCE, odometry
+from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, TWIST_COVARIANCE, odometry, published_covariance
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.results import MeasurementLog, columns, result
 from mems_ins_fusion.filter.start.initial import sensor_errors_of
@@ -616,6 +617,23 @@ def test_before_anything_has_shown_a_claim_is_believed_half_way_to_the_scatter(l
     # and once innovations have shown how much of it lasts: that
     memory[r + OfReceiver.SLOW_SCALE + Scale.LOG], memory[r + OfReceiver.SLOW_SCALE + Scale.REDUCED] = -0.2, PRIOR
     assert realised_factor(memory, r) == pytest.approx(math.exp(-0.2))
+
+
+@pytest.mark.parametrize('tau', [60.0, 300.0, 1000.0])
+def test_errors_that_are_claimed_rightly_are_in_the_ellipse_however_slow_they_are(tau):
+    # given receivers that claim 2 m rightly, of which all but 0.3 m changes within tau
+    squared, claim, white = [], 2.0, 0.3
+    for seed in range(12):
+        receiver = Receiver(400.0, seed=seed)
+        slow = lasting(receiver, tau) - true_position(receiver.time)
+        receiver.position = (true_position(receiver.time) + slow * math.sqrt(claim**2 - white**2) / SIGMA
+                             + white * receiver.rng.standard_normal((len(receiver.time), 2)))
+        config, memory, error, _ = receiver.through(claim, 'strapdown', **{'gnss.adapt_covariance': True})
+        found = published_covariance(newest_row(memory), config.layout)[:2, :2]
+        squared.append(error[-1] @ np.linalg.solve(found, error[-1]) / 2.0)
+    # then the squared error over its expectation has a mean of one: twelve of two degrees of freedom each
+    low, high = chi2.ppf([0.001, 0.999], 2 * 12) / (2 * 12)
+    assert low < np.mean(squared) < high, squared
 
 
 @BOTH

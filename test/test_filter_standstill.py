@@ -5,10 +5,21 @@ import numpy as np
 import pytest
 from filter_support import LATITUDE, LONGITUDE, configure, fix_event, started, take_all
 from scipy.signal import lfilter
+from scipy.stats import norm
 
-from mems_ins_fusion.filter.memory import Nav, Sample, sample_at
+from mems_ins_fusion.filter.memory import Event, Nav, Sample, sample_at, state_at
 from mems_ins_fusion.filter.trust.line import Line, add_to_line, begin_line, fit_line
-from mems_ins_fusion.filter.trust.standstill import is_still
+from mems_ins_fusion.filter.trust.standstill import (
+    CREEP_SCATTER,
+    CREEP_SPEED,
+    CREEP_TIME,
+    STOP_SCATTER,
+    STOPS_PER_CREEP,
+    SURE_ODDS,
+    is_still,
+    rather_stands,
+    velocity_sigma,
+)
 from mems_ins_fusion.navigation.earth import gravity, radii
 
 METRES = radii(LATITUDE)[0]  # per radian of latitude, at height 0
@@ -129,3 +140,32 @@ def test_a_stop_that_passes_for_slow_motion_does_not_hide_the_next_one():
         flags[k] = is_still(memory, sample, 0.01, speed[k], 0.4 if stops[0][k] else 0.1, False)
     # then the second one is seen, but for its first seconds
     assert flags[stops[1] & (time > 63.5)].all() and not flags[~(stops[0] | stops[1])].any()
+
+
+def test_a_quiet_vehicle_stands_where_that_is_ten_times_as_likely_as_a_creep():
+    # given estimated speeds and their sigmas, and for how long the vehicle has been as quiet as at rest
+    speeds, sigmas, durations = np.linspace(0.0, 3.0, 31), np.geomspace(0.02, 2.0, 9), np.array([0.0, 1.0, 5.0, 60.0])
+    believed = []
+    for sigma in sigmas:
+        # then the odds by SciPy's distributions decide: of the estimated speed, and of how long a creep stays quiet
+        stops = STOPS_PER_CREEP * norm.pdf(speeds, 0.0, np.hypot(sigma, STOP_SCATTER))
+        creeps = norm.pdf(speeds, CREEP_SPEED, np.hypot(sigma, CREEP_SCATTER))
+        for quiet_for in durations:
+            odds = stops / (creeps / (1.0 + quiet_for / CREEP_TIME))
+            found = np.array([rather_stands(speed, sigma**2, quiet_for) for speed in speeds])
+            certain = np.abs(odds / SURE_ODDS - 1.0) > 1e-9
+            assert np.array_equal(found[certain], (odds > SURE_ODDS)[certain])
+            believed.append(found.mean())
+    assert 0.05 < np.mean(believed) < 0.95
+
+
+@pytest.mark.parametrize(('estimate', 'speed', 'held'), [(0.8, 0.8, False), (0.25, 0.0, True)])
+def test_a_car_that_creeps_as_quietly_as_it_stands_is_not_stopped_and_one_that_stops_is(estimate, speed, held):
+    # given a car without fixes that has an estimated speed +- 0.25 m/s, and samples as quiet as at rest for 4 s
+    config = configure({'mechanization': 'planar', 'feedback': 'closed', 'vehicle.zero_velocity': True})
+    covariance = np.diag([1.0, 1.0, 0.25**2, 0.1**2, 0.02**2] + [1e-6] * (config.layout.n - 5))
+    memory = started(config, velocity=(estimate, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=covariance)
+    rows, _ = take_all(memory, quiet(4, np.random.default_rng(7)), np.zeros((0, Event.SIZE)), [Nav.V_N])
+    # then its speed is within three sigma of the true one
+    assert (abs(rows[-1, 0]) < 0.02) == held
+    assert abs(rows[-1, 0] - speed) < 3.0 * velocity_sigma(memory, state_at(memory, len(rows)))
