@@ -13,8 +13,11 @@ from mems_ins_fusion.filter.trust.standstill import (
     CREEP_SCATTER,
     CREEP_SPEED,
     CREEP_TIME,
+    SPEED_DENSITY,
+    STILL_WINDOW,
     STOP_SCATTER,
     STOPS_PER_CREEP,
+    STOPS_PER_SMOOTH_ROAD,
     SURE_ODDS,
     is_still,
     rather_stands,
@@ -138,20 +141,21 @@ def test_a_stop_that_passes_for_slow_motion_does_not_hide_the_next_one():
     for k in range(1, len(time)):
         memory[sample + Sample.F_X] = force[k]
         flags[k] = is_still(memory, sample, 0.01, speed[k], 0.4 if stops[0][k] else 0.1, False)
-    # then the second one is seen, but for its first seconds
-    assert flags[stops[1] & (time > 63.5)].all() and not flags[~(stops[0] | stops[1])].any()
+    # then the second one is seen, but for its first seconds, and in motion nothing but what the window still contains
+    after = [(time >= end) & (time < end + STILL_WINDOW) for end in (38.0, 68.0)]
+    assert flags[stops[1] & (time > 63.5)].all() and not flags[~np.any([*stops, *after], axis=0)].any()
 
 
-def test_a_quiet_vehicle_stands_where_that_is_ten_times_as_likely_as_a_creep():
+def test_a_quiet_vehicle_stands_where_that_is_ten_times_as_likely_as_motion():
     # given estimated speeds and their sigmas, and for how long the vehicle has been as quiet as at rest
-    speeds, sigmas, durations = np.linspace(0.0, 3.0, 31), np.geomspace(0.02, 2.0, 9), np.array([0.0, 1.0, 5.0, 60.0])
-    believed = []
+    speeds, sigmas, believed = np.geomspace(0.01, 30.0, 31), np.geomspace(0.02, 8.0, 9), []
     for sigma in sigmas:
         # then the odds by SciPy's distributions decide: of the estimated speed, and of how long a creep stays quiet
-        stops = STOPS_PER_CREEP * norm.pdf(speeds, 0.0, np.hypot(sigma, STOP_SCATTER))
-        creeps = norm.pdf(speeds, CREEP_SPEED, np.hypot(sigma, CREEP_SCATTER))
-        for quiet_for in durations:
-            odds = stops / (creeps / (1.0 + quiet_for / CREEP_TIME))
+        stops = norm.pdf(speeds, 0.0, np.hypot(sigma, STOP_SCATTER))
+        motion = (norm.pdf(speeds, CREEP_SPEED, np.hypot(sigma, CREEP_SCATTER)) / STOPS_PER_CREEP
+                  + SPEED_DENSITY / STOPS_PER_SMOOTH_ROAD)
+        for quiet_for in (0.0, 1.0, 5.0, 60.0):
+            odds = stops / (motion / (1.0 + quiet_for / CREEP_TIME))
             found = np.array([rather_stands(speed, sigma**2, quiet_for) for speed in speeds])
             certain = np.abs(odds / SURE_ODDS - 1.0) > 1e-9
             assert np.array_equal(found[certain], (odds > SURE_ODDS)[certain])

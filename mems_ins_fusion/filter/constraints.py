@@ -27,7 +27,7 @@ from .memory import (
 from .prediction import set_radii
 from .trust import contradiction, gyroscopes, hypotheses, new_start, usual_speed
 from .trust.force_noise import force_noise
-from .trust.standstill import Standing, fixes_show_motion, rather_stands, wheels_turn
+from .trust.standstill import Standing, fixes_show_motion, moves, rather_stands, wheels_turn
 from .trust.white_noise import Shown, hides_turns
 from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_update, product, project, update
 
@@ -72,11 +72,11 @@ def constrain(mem, r, sample):
     mem[r + Nav.USE_ALL_FIXES] = max(mem[r + Nav.USE_ALL_FIXES] - since, 0.0)
     yaw = yaw_state(mem)
     if still:
-        squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
-        agrees = rather_stands(math.sqrt(squared), velocity_variance(mem, r), mem[sample + Sample.STILL])
-        # an estimated speed contradicts a standstill (a smooth, straight creep), but not where a gyroscope shows a
-        # turn: then the gyroscope is wrong, and has made the velocity wrong as well
-        still = ((agrees or _turns(mem, r, sample, n, 0.0, gyroscopes.JUMP_SIGMAS))
+        speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
+        agrees = rather_stands(speed, velocity_variance(mem, r), mem[sample + Sample.STILL])
+        # a slow motion contradicts a standstill (a smooth, straight creep), but not where a gyroscope shows a turn:
+        # then the gyroscope is wrong, and has made the velocity wrong as well
+        still = ((agrees or not moves(mem, r) and _turns(mem, r, sample, n, 0.0, gyroscopes.JUMP_SIGMAS))
                  and not _turns(mem, r, sample, n, STILL_RATE, ROBUST))
         if still and not agrees:
             for i in range(2):

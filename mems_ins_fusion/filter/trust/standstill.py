@@ -90,14 +90,19 @@ SEPARATION = 2.0
 MOTION_MEMORY = 600.0
 #: s, time constant of the mean of the level at rest. Chosen, not measured
 REST_TIME = 5.0
-#: a vehicle stands for so many times it creeps at a constant speed and is as quiet as at rest: 321 to 15 times in 34
-#: simulated drives of 12 min (`vehicle.simulated`), 30 to 2 times in Kingston
+#: how many times a vehicle stands for each time it creeps at a constant speed, as quiet as at rest: 321 to 15 times in
+#: 34 simulated drives of 12 min (`vehicle.simulated`), 30 to 2 times in Kingston
 STOPS_PER_CREEP = 20.0
 #: m/s, mean speed of such a creep and its standard deviation: 0.55 to 1.05 in these drives, 0.25 to 0.7 in Kingston
 CREEP_SPEED, CREEP_SCATTER = 0.7, 0.3
-#: s for which half of these creeps, at least, stay quiet: 0.3 to 3; half of the stops lasted longer than 4
+#: the same for each time it is as quiet at a higher speed: in docs/standstill.md never in 13 300 s of motion beside
+#: 2700 s at rest; half a second of it is the estimate with the prior of Jeffreys
+STOPS_PER_SMOOTH_ROAD = 5000.0
+#: s/m, density of these speeds: uniform up to 30 m/s
+SPEED_DENSITY = 1.0 / 30.0
+#: s for which half of the creeps, at least, stay quiet: 0.3 to 3; half of the stops lasted longer than 4
 CREEP_TIME = 1.5
-#: a standstill is believed if it is so many times as likely as a creep: one that is none leaves an error of the speed
+#: a standstill is believed if it is so many times as likely as motion: one that is none leaves an error of the speed
 #: with a sigma of some cm/s, one that is missed leaves the sigma as it is. Chosen: wrong in one of ten doubtful cases
 SURE_ODDS = 10.0
 #: m/s, standard deviation of what the estimated speed at a stop is off beyond its sigma: with fixes that are late it is
@@ -158,15 +163,17 @@ def stands(mem, r):
 
 @njit(_nrt=False)
 def rather_stands(speed, variance, quiet):
-    """Whether a vehicle that has been as quiet as at rest for `quiet` s stands, and does not creep at a constant speed.
+    """Whether a vehicle that has been as quiet as at rest for `quiet` s stands, rather than moving.
 
-    speed: estimated one, m/s. variance: of it, (m/s)^2. Both statements tell the estimated speed (normal
-    distributions), how often they are true (STOPS_PER_CREEP), and for how long the vehicle stays quiet: the share of
-    creeps that stay quiet for longer than t is 1 / (1 + t / CREEP_TIME).
+    speed: estimated one, m/s. variance: of it, (m/s)^2. Three statements are compared by how often each is true and by
+    its density of the estimated speed: the vehicle stands, creeps at a constant speed, or moves faster on a road without
+    any unevenness. Of the latter two, the share 1 / (1 + t / CREEP_TIME) is quiet for longer than t.
     """
     standing, creeping = variance + STOP_SCATTER**2, variance + CREEP_SCATTER**2
-    odds = math.log(STOPS_PER_CREEP / SURE_ODDS * (1.0 + quiet / CREEP_TIME)) + 0.5 * math.log(creeping / standing)
-    return odds + 0.5 * (speed - CREEP_SPEED) ** 2 / creeping > 0.5 * speed * speed / standing
+    at_rest = math.exp(-0.5 * speed * speed / standing) / math.sqrt(2.0 * math.pi * standing)
+    in_creep = math.exp(-0.5 * (speed - CREEP_SPEED) ** 2 / creeping) / math.sqrt(2.0 * math.pi * creeping)
+    in_motion = in_creep / STOPS_PER_CREEP + SPEED_DENSITY / STOPS_PER_SMOOTH_ROAD
+    return at_rest > SURE_ODDS * in_motion / (1.0 + quiet / CREEP_TIME)
 
 
 @njit(_nrt=False)
@@ -202,7 +209,8 @@ def shown_speed(mem, r, at, variance):
 
 @njit(_nrt=False)
 def is_still(mem, sample, dt, speed, sigma, anew):
-    """1 if the sample at `sample`, dt s after the previous one, belongs to a standstill, else 0. Updates `Still`.
+    """1 if the vehicle is as quiet as at rest at the sample at `sample`, dt s after the previous one, else 0. Updates
+    `Still`.
 
     speed: certain speed (`certain_speed`), m/s. sigma: of the velocity, m/s. anew: whether samples are missing before
     this one, so that a change of the specific force means nothing.
@@ -237,7 +245,7 @@ def is_still(mem, sample, dt, speed, sigma, anew):
         rest += min(1.0, dt / REST_TIME) * (level - rest)
     mem[Still.MOTION], mem[Still.REST] = motion, rest
     threshold = min(max(0.5 * (motion + rest), rest + separation), motion - separation)
-    return 1.0 if level < threshold and speed <= MOVING_SPEED else 0.0
+    return 1.0 if level < threshold else 0.0
 
 
 @njit(_nrt=False)
