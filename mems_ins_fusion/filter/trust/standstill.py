@@ -166,8 +166,8 @@ def rather_stands(speed, variance, quiet):
     """Whether a vehicle that has been as quiet as at rest for `quiet` s stands, rather than moving.
 
     speed: estimated one, m/s. variance: of it, (m/s)^2. Three statements are compared by how often each is true and by
-    its density of the estimated speed: the vehicle stands, creeps at a constant speed, or moves faster on a road without
-    any unevenness. Of the latter two, the share 1 / (1 + t / CREEP_TIME) is quiet for longer than t.
+    its density of the estimated speed: the vehicle stands, creeps at a constant speed, or moves faster on a road that
+    is even. Of the latter two, the share 1 / (1 + t / CREEP_TIME) is quiet for longer than t.
     """
     standing, creeping = variance + STOP_SCATTER**2, variance + CREEP_SCATTER**2
     at_rest = math.exp(-0.5 * speed * speed / standing) / math.sqrt(2.0 * math.pi * standing)
