@@ -163,11 +163,12 @@ def test_a_quiet_vehicle_stands_where_that_is_ten_times_as_likely_as_motion():
     assert 0.05 < np.mean(believed) < 0.95
 
 
-@pytest.mark.parametrize(('estimate', 'speed', 'held'), [(0.8, 0.8, False), (0.25, 0.0, True)])
-def test_a_car_that_creeps_as_quietly_as_it_stands_is_not_stopped_and_one_that_stops_is(estimate, speed, held):
-    # given a car without fixes that has an estimated speed +- 0.25 m/s, and samples as quiet as at rest for 4 s
+@pytest.mark.parametrize(('estimate', 'sigma', 'speed', 'held'), [
+    (0.8, 0.25, 0.8, False), (0.25, 0.25, 0.0, True), (12.0, 4.0, 0.0, True), (12.0, 0.5, 12.0, False)])
+def test_a_vehicle_as_quiet_as_at_rest_stands_only_where_its_speed_may_be_zero(estimate, sigma, speed, held):
+    # given a car without fixes, with this estimated speed and its standard deviation, and quiet samples for 4 s
     config = configure({'mechanization': 'planar', 'feedback': 'closed', 'vehicle.zero_velocity': True})
-    covariance = np.diag([1.0, 1.0, 0.25**2, 0.1**2, 0.02**2] + [1e-6] * (config.layout.n - 5))
+    covariance = np.diag([1.0, 1.0, sigma**2, 0.1**2, 0.02**2] + [1e-6] * (config.layout.n - 5))
     memory = started(config, velocity=(estimate, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=covariance)
     rows, _ = take_all(memory, quiet(4, np.random.default_rng(7)), np.zeros((0, Event.SIZE)), [Nav.V_N])
     # then its speed is within three sigma of the true one
