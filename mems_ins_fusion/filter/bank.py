@@ -106,8 +106,7 @@ def compare(memory):
         _start_from_fixes(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0:  # the state before the fixes is no longer in the memory: there is no second filter
             return
-    scales = r + Receiver.SMOOTH_SCALE  # it is the same receiver
-    copy(other, scales, memory, scales, Receiver.SCALE + Scale.CHANGING_SIZE - Receiver.SMOOTH_SCALE)
+    _share_scales(memory, other, r)
     if (excess_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]
             or memory[r + Standing.CONTRADICTED] == time and memory[r + Hypothesis.FIXES_WRONG] == 0.0):
         # the fixes did not fit because they scatter more than was known, or because the vehicle did not stand: they are
@@ -144,6 +143,19 @@ def compare(memory):
     if not fixes_wrong and lead > hypotheses.LOST_NATS or _agree(memory, other, r):
         memory[Bank.OPEN] = 0.0
     _publish_all(memory, other, r)
+
+
+@njit(_nrt=False)
+def _share_scales(memory, other, r):
+    """Let both filters have the same scales of the receiver, as it is the same one: those of the first filter, and of
+    innovations those of the filter that uses the fixes."""
+    first, of_innovations = r + Receiver.SMOOTH_SCALE, r + Receiver.SLOW_SCALE
+    copy(other, first, memory, first, of_innovations - first)
+    size = r + Receiver.INNOVATION_SCALE + Scale.SIZE - of_innovations
+    if memory[r + Hypothesis.FIXES_WRONG] == 0.0:
+        copy(other, of_innovations, memory, of_innovations, size)
+    elif other[r + Hypothesis.FIXES_WRONG] == 0.0:
+        copy(memory, of_innovations, other, of_innovations, size)
 
 
 @njit(_nrt=False)
