@@ -19,6 +19,7 @@ from mems_ins_fusion.filter.bank import (
     _refuse_since,
     _restart_penalty,
     _search_begin,
+    _share_scales,
 )
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, element_at, state_at, velocity_variance
 from mems_ins_fusion.filter.trust import fix_drift
@@ -47,6 +48,7 @@ from mems_ins_fusion.filter.trust.new_start import are_refused
 from mems_ins_fusion.filter.trust.new_start import note as note_refused
 from mems_ins_fusion.filter.trust.offset import Offset
 from mems_ins_fusion.filter.trust.receiver import Receiver
+from mems_ins_fusion.filter.trust.scale import Scale
 from mems_ins_fusion.filter.trust.standstill import Standing
 
 S = np.array([[4.0, 1.0], [1.0, 9.0]])
@@ -250,6 +252,19 @@ def a_jump():
     other, r = memory[int(memory[Bank.SIZE]):], state_at(memory, int(memory[Head.SAMPLES]))
     assert memory[Bank.OPEN] == 1.0 and memory[r + Hypothesis.FIXES_WRONG] == 1.0
     return memory, other, r
+
+
+def test_both_filters_expect_the_same_of_the_receiver():
+    # given two filters with other scales
+    memory, other, r = a_jump()
+    scales = slice(r + Receiver.SMOOTH_SCALE, r + Receiver.SLOW_SCALE)
+    memory[scales], other[scales], memory[r + Hypothesis.FACTOR] = 1.0, 2.0, 0.0
+    for realised in (2.0, 4.0, 1.0):  # and innovations of the first one that become larger, and smaller again
+        memory[r + Receiver.INNOVATION_SCALE + Scale.LOG] = math.log(realised)
+        _share_scales(memory, other, r)
+        # then both have the first one's scales, and its factor at the begin
+        for one in (memory, other):
+            assert (one[scales] == 1.0).all() and one[r + Hypothesis.FACTOR] == pytest.approx(2.0)
 
 
 def test_each_hypothesis_has_the_score_of_its_own_best_begin():

@@ -47,6 +47,18 @@ def test_the_posterior_is_that_of_bayes_rule(dimensions, squared, rest):
     assert judged.PRIOR - at[Scale.REDUCED] == pytest.approx(np.sum(density * (level - mean) ** 2), rel=0.02)
 
 
+def test_white_noise_of_a_day_does_not_seem_to_become_smaller():
+    # given a deviation each two seconds, of the assumed variance, for a day
+    squared = np.random.default_rng(8).exponential(1.0, 43_200)
+    at, low = np.zeros(Scale.CHANGING_SIZE), np.zeros(len(squared), dtype=bool)
+    for k, value in enumerate(squared):
+        learn_changes(at, 0, 2.0 * k, value, 1.0, 0.0, 2)
+        low[k] = at[Scale.LOG] < -1.0
+    # then less than a twentieth of the changes by the prior seem to have happened: 24 h / 20 min / 20 = 3.6, and three
+    # standard deviations of a Poisson variable
+    assert np.count_nonzero(np.diff(low[50:].astype(int)) == 1) <= 3.6 + 3.0 * math.sqrt(3.6)
+
+
 @pytest.mark.parametrize('realised', [36.0, 400.0, 750.0**2])
 def test_another_scale_is_found_after_a_few_deviations_up_and_down(realised):
     # given a scale that has been 1 for a minute, then is another one for as long, and 1 again

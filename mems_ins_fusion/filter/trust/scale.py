@@ -104,9 +104,9 @@ CHANGED_PRIOR = 16.0
 #: 1/s, rate of changes: one in twenty minutes, as in a drive through a city. Chosen, not measured
 CHANGE_RATE = 1.0 / 1200.0
 #: probability of a change from which on a smaller scale is used; a larger one is used if it is the more probable one.
-#: A scale that is too small makes right measurements outliers, one that is too large costs a few of them. With 0.5,
-#: white noise seemed to have become smaller 72 times in 100 hours (now 3 times), once for half a minute, and a right IMU
-#: passed for a wrong one
+#: A scale that is too small makes right measurements outliers, one that is too large costs a few of them. With 0.5
+#: white noise seemed to have become smaller 72 times in 100 hours (now 3 times), once for half a minute, in which a
+#: right IMU passed for a wrong one
 SURE_DECREASE = 0.95
 #: 1/s, growth of the variance in `learn`: by 1, which is a factor of e, in ten minutes. Chosen, not measured
 LOG_WALK = 1.0 / 600.0
