@@ -48,7 +48,6 @@ from mems_ins_fusion.filter.trust.new_start import are_refused
 from mems_ins_fusion.filter.trust.new_start import note as note_refused
 from mems_ins_fusion.filter.trust.offset import Offset
 from mems_ins_fusion.filter.trust.receiver import Receiver
-from mems_ins_fusion.filter.trust.scale import Scale
 from mems_ins_fusion.filter.trust.standstill import Standing
 
 S = np.array([[4.0, 1.0], [1.0, 9.0]])
@@ -254,17 +253,19 @@ def a_jump():
     return memory, other, r
 
 
-def test_both_filters_expect_the_same_of_the_receiver():
-    # given two filters with other scales
+@pytest.mark.parametrize('first_wrong, second_wrong', [(False, True), (True, False), (True, True)])
+def test_both_filters_expect_the_same_of_the_receiver(first_wrong, second_wrong):
+    # given two filters with other scales, of which one or both take the fixes for wrong
     memory, other, r = a_jump()
-    scales = slice(r + Receiver.SMOOTH_SCALE, r + Receiver.SLOW_SCALE)
-    memory[scales], other[scales], memory[r + Hypothesis.FACTOR] = 1.0, 2.0, 0.0
-    for realised in (2.0, 4.0, 1.0):  # and innovations of the first one that become larger, and smaller again
-        memory[r + Receiver.INNOVATION_SCALE + Scale.LOG] = math.log(realised)
-        _share_scales(memory, other, r)
-        # then both have the first one's scales, and its factor at the begin
-        for one in (memory, other):
-            assert (one[scales] == 1.0).all() and one[r + Hypothesis.FACTOR] == pytest.approx(2.0)
+    scatter, innovations = (slice(r + a, r + b) for a, b in (
+        (Receiver.SMOOTH_SCALE, Receiver.SLOW_SCALE), (Receiver.SLOW_SCALE, Receiver.STATUS)))
+    for one, wrong, value in ((memory, first_wrong, 1.0), (other, second_wrong, 2.0)):
+        one[r + Hypothesis.FIXES_WRONG], one[scatter], one[innovations] = float(wrong), value, value
+    _share_scales(memory, other, r)
+    # then both have how fixes scatter from the first, and of innovations what the filter has that uses fixes
+    expected = (1.0, 1.0) if not first_wrong else (2.0, 2.0) if not second_wrong else (1.0, 2.0)
+    for one, value in zip((memory, other), expected):
+        assert (one[scatter] == 1.0).all() and (one[innovations] == value).all()
 
 
 def test_each_hypothesis_has_the_score_of_its_own_best_begin():

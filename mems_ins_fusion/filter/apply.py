@@ -204,9 +204,7 @@ def _uses_fix(mem, r, at, n, factor):
     s_nn = r_nn + project(mem, n, h, column)
     s_ne = r_ne + product(mem, n, h + n, column)
     s_ee = r_ee + project(mem, n, h + n, column)
-    shared = mem[r + Hypothesis.FACTOR]
-    realised = shared if shared > 0.0 else receiver.innovation_factor(mem, r)
-    return hypotheses.score_fix(mem, r, at, s_nn, s_ne, s_ee, 0.5 * (r_nn + r_ee), realised)
+    return hypotheses.score_fix(mem, r, at, s_nn, s_ne, s_ee, 0.5 * (r_nn + r_ee), receiver.innovation_factor(mem, r))
 
 
 @njit(_nrt=False)

@@ -41,7 +41,7 @@ from .trust.force_noise import learn_from_velocity
 from .trust.hypotheses import Hypothesis
 from .trust.line import FEWEST_ON_LINE, Line
 from .trust.offset import Offset
-from .trust.receiver import CLAIM_CHANGE, Receiver, excess_scatter, innovation_factor
+from .trust.receiver import CLAIM_CHANGE, Receiver, excess_scatter
 from .trust.standstill import Standing, moves, stands
 
 #: columns of the head of the first filter
@@ -95,7 +95,6 @@ def compare(memory):
     interval, memory[Bank.COMPARED] = time - memory[Bank.COMPARED], time
     other, refused = memory[size:], new_start.are_refused(memory, r)
     if memory[Bank.OPEN] == 0.0:
-        memory[r + Hypothesis.FACTOR] = 0.0
         _begin(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0 and not refused:
             return
@@ -149,15 +148,16 @@ def compare(memory):
 def _share_scales(memory, other, r):
     """Let both filters expect the same variance of a fix and of its innovation, so that none gains by a smaller one.
 
-    It is the same receiver: how fixes scatter is what the first filter has learned. The factor on the variance of
-    innovations is that of the begin: whether innovations that have become larger since are errors of the fixes or of
-    the state is what is to be found.
+    It is the same receiver: how fixes scatter is what the first filter has learned, what innovations show is what the
+    filter has learned that uses the fixes.
     """
-    scales = r + Receiver.SMOOTH_SCALE
-    copy(other, scales, memory, scales, Receiver.SLOW_SCALE - Receiver.SMOOTH_SCALE)
-    if memory[r + Hypothesis.FACTOR] == 0.0:
-        memory[r + Hypothesis.FACTOR] = innovation_factor(memory, r)
-    other[r + Hypothesis.FACTOR] = memory[r + Hypothesis.FACTOR]
+    scatter, innovations = r + Receiver.SMOOTH_SCALE, r + Receiver.SLOW_SCALE
+    copy(other, scatter, memory, scatter, innovations - scatter)
+    size = r + Receiver.STATUS - innovations
+    if memory[r + Hypothesis.FIXES_WRONG] == 0.0:
+        copy(other, innovations, memory, innovations, size)
+    elif other[r + Hypothesis.FIXES_WRONG] == 0.0:
+        copy(memory, innovations, other, innovations, size)
 
 
 @njit(_nrt=False)

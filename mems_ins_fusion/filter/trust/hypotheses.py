@@ -38,7 +38,6 @@ from .scale import OUTLIER_SHARE
 Hypothesis = ROW.place(
     'Hypothesis',
     SCORE=1,  # nats: log likelihood of all fixes, plus log prior of the hypothesis
-    FACTOR=1,  # realised over expected variance of innovations when there came to be two filters; 0: there is one
     FURTHER_SCORE=1,  # nats: log likelihood of all fixes of further receivers
     OUTLIER_NATS=1,  # nats: log likelihood ratio of the latest fix, an outlier to what the filter assumes
     FIXES_WRONG=1,  # 1: the hypothesis is that the fixes are wrong since some time. Then:
