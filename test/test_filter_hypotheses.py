@@ -225,18 +225,18 @@ def test_the_published_ellipse_reaches_to_the_far_side_of_one_that_may_be_right(
 
 @BOTH
 def test_fixes_that_jump_and_come_back_are_left_and_the_ellipse_reaches_to_them(mechanization):
-    # given fixes that are 40 m off to the east for 15 s, and the same drive without them
+    # given fixes that are 40 m off to the east for 11 s, and the same drive without them
     drive, without = Drive(), Drive()
-    wrong = (drive.time > 30.0) & (drive.time < 45.0)
+    wrong = (drive.time > 30.0) & (drive.time < 41.0)
     drive.position[wrong, 1] += 40.0
     without.time, without.position = without.time[~wrong], without.position[~wrong]
     _, _, error, sigma, _ = drive.through(mechanization)
     _, _, coasting, _, _ = without.through(mechanization)
     # then the filter is off by what it is without fixes, and is with them when they come back
     off = np.hypot(*error.T)
-    assert off.max() < np.hypot(*coasting.T).max() + 1.0 and off[round(50 * 47.0):].max() < 2.0
+    assert off.max() < np.hypot(*coasting.T).max() + 1.0 and off[round(50 * 43.0):].max() < 2.0
     # and from 5 s on, when five fixes have been refused, to the end the 95 % ellipse reaches to the fixes
-    disputed = slice(round(50 * 36.5), round(50 * 44.0))
+    disputed = slice(round(50 * 36.5), round(50 * 40.0))
     assert (math.sqrt(chi2.ppf(0.95, 2)) * sigma[disputed, 1] > 0.8 * 40.0).all()
 
 
