@@ -234,8 +234,9 @@ def _storage_files(path: Path) -> list[Path]:
     if path.name == 'metadata.yaml':
         return _files_of_folder(path.parent)
     if not _is_storage(path):
+        expected = 'a rosbag2 folder, or an .mcap, .db3 or .bag file'
         log = '; import_csv makes one of a log in CSV' if path.suffix.lower() in _TEXT else ''
-        raise RecordingError(f'{path} is not a recording: expected a rosbag2 folder, or an .mcap, .db3 or .bag file{log}')
+        raise RecordingError(f'{path} is not a recording: expected {expected}{log}')
     return [path]
 
 
