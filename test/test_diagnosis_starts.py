@@ -202,6 +202,9 @@ def test_a_size_that_has_grown_beyond_all_vehicles_with_effects_added_later_is_n
         # then it is set only where all of its sigma is not beyond the largest one
         assert left.findings[0].added == is_set and len(left.model.unknowns) == len(noise) + is_set
         assert is_set or 'more than any vehicle has' in left.findings[0].reason
+        # and told with the size for which it is not
+        told = left.findings[0].parameters['time_offset'].value
+        assert told == pytest.approx(0.3 * OFFSET if is_set else OFFSET, abs=0.05)
 
 
 def test_what_the_track_shows_for_certain_is_told_even_where_held_out_data_do_not_gain():

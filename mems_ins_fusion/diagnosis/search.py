@@ -282,14 +282,17 @@ def without_superseded(known: Known, trials: TrialRuns) -> Known:
 def without_undetermined(known: Known, trials: TrialRuns) -> Known:
     """`known` without the effects and parameters that are not determined any more since others were added, or that no
     vehicle can have: the limits are those for adding an effect."""
-    model, reasons = known.model, {}
+    model, reasons, impossible = known.model, {}, {}
     sigma = sigmas(model, trials.beside.track, trials.origin.given)
     for finding in known.findings:
         own = [i for i, u in enumerate(model.unknowns) if u.effect == finding.name and not u.noise]
         if not (finding.added and own):
             continue
-        why = implausible(finding.name, sizes_of(finding, model, sigma), trials.shown)
-        if not why and finding.name not in trials.certain and (less := small(model, own, sigma)):
+        sizes = sizes_of(finding, model, sigma)
+        why = implausible(finding.name, sizes, trials.shown)
+        if why:
+            impossible[finding.name] = sizes
+        elif finding.name not in trials.certain and (less := small(model, own, sigma)):
             why = f'{less} with the effects that were added later'
         if why:
             reasons[finding.name] = why
@@ -306,8 +309,9 @@ def without_undetermined(known: Known, trials: TrialRuns) -> Known:
     for finding in known.findings:
         own = {u.name for u in known.model.unknowns if u.effect == finding.name and not u.noise}
         if finding.added and own and not own & left:
-            finding = replace(finding, added=False, reason=reasons.get(
-                finding.name, 'not determined with the effects that were added later'))
+            finding = replace(finding, added=False, parameters=finding.parameters | impossible.get(finding.name, {}),
+                              reason=reasons.get(
+                                  finding.name, 'not determined with the effects that were added later'))
         findings.append(finding)
     estimates = tuple(_by_part(pruned, known.noise))
     known = replace(known, model=pruned, estimates=estimates, findings=tuple(findings), hidden=known.hidden | gone)
