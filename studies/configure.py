@@ -3,6 +3,7 @@
     python studies/configure.py drives RESULTS.csv [--drives 100] [--first 0] [--any-fixes] [--diagnose] [--second]
     python studies/configure.py drives RESULTS.csv --rates 0.2 0.5 1 2 5 10 20 [the same]
     python studies/configure.py slow --drives 12 --first 7701
+    python studies/configure.py joint --drives 180 --first 56501
     python studies/configure.py simulated [--drives 100]
     python studies/configure.py measured DATA
     python studies/configure.py evidence DATA
@@ -15,6 +16,7 @@ rates, Hz, and, where nothing is run with the file, IMUs in g and deg/s, too. Wi
 one by hand, on a second drive of the same vehicle, with other biases: errors against the truth.
 slow: robots at 0.4 m/s that turn on the spot, with twelve receivers, on level ground and with everything that
 `simulate --drive realistic` has: what is said of the mounting after some minutes, as the live node looks at it.
+joint: the time offset with the antenna's arm unknown, as `configure` tells it, and with the arm that is in its file.
 simulated: two minutes with a standstill, one right-angled turn and one stop, on hilly roads, in cars with suspension,
 IMUs in arbitrary positions, five receivers; the error of the mounting over its sigma. measured: each recording with its
 IMU turned by the 24 right-angled rotations and 20 arbitrary ones, in g and deg/s. evidence: whether a
@@ -37,7 +39,7 @@ from diagnosis_on_roads import measured as measured_errors
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.configuration.check import judge_mounting
-from mems_ins_fusion.configuration.configure import configured, look
+from mems_ins_fusion.configuration.configure import Configuration, configured, look
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.topics import Candidate, Topics
 from mems_ins_fusion.diagnosis.diagnose import diagnose
@@ -218,15 +220,46 @@ def rover(seed: int, duration: float = 400.0):
     return follow(path, duration, 50.0)
 
 
+def what_is_found(of: Case, units: tuple[str, str] = UNITS[0]) -> Configuration:
+    """What `configure` finds in the drive, its IMU in these units."""
+    imu, fixes = as_delivered(of.recording.imu, *units), of.recording.gnss
+    topics = Topics(*((Candidate(topic, len(samples), 1.0, 0.0, 1.0, False, samples),)
+                      for topic, samples in (('/imu/data', imu), ('/gps/fix', fixes))), ())
+    return configured(topics, [look(of.recording.name, imu, fixes)], [fixes])
+
+
+def one_joint(number: int) -> list | None:
+    """Kind; errors of the time offset, s, with the arm unknown and with that of the file; its sigma with the arm
+    unknown; squared errors of the arm forward and left, m^2, in the file and as estimated. None without an offset."""
+    of = case(number, upright=True, duration=300.0, any_fixes=True)
+    found = what_is_found(of)
+    offset = found.mounting.offset if found.mounting is not None else None
+    if offset is None or not offset.shown:
+        return None
+    covariance = np.linalg.inv(offset.basis.information)
+    scale = offset.basis.sigmas / np.sqrt(np.diag(covariance))
+    covariance *= np.outer(scale, scale)
+    written = np.array(found.values['gnss.lever_arm'])
+    given = covariance[0, 1:4] @ np.linalg.solve(covariance[1:4, 1:4], written - offset.arm)
+    arms = [np.mean((arm - of.arm)[:2] ** 2) for arm in (written, offset.arm)]
+    return [of.kind, offset.lag - of.offset, offset.lag + given - of.offset, offset.lag_sigma, *arms]
+
+
+def joint(drives: int, first: int, processes: int):
+    with ProcessPoolExecutor(processes) as pool:
+        rows = [row for row in pool.map(one_joint, range(first, first + drives)) if row is not None]
+    for kind in (*KINDS, 'all'):
+        unknown, given, sigma, written, estimated = np.array([row[1:] for row in rows if kind in (row[0], 'all')]).T
+        print(f'| {kind} | {len(sigma)} | {np.sqrt((unknown**2).mean()):.3f} | {held(unknown, sigma)} | '
+              f'{np.sqrt((given**2).mean()):.3f} | {np.sqrt(written.mean()):.2f} | {np.sqrt(estimated.mean()):.2f} |')
+
+
 def one_case(task) -> list[dict]:
     """What `configure` says of a drive, and `diagnose` after it and by hand; a row each."""
     number, diagnosed, any_fixes, second, rates = task
     of = case(number, any_fixes=any_fixes, rates=rates)
     units = UNITS[number % len(UNITS)] if rates and not (diagnosed or second) else UNITS[0]
-    imu, fixes = as_delivered(of.recording.imu, *units), of.recording.gnss
-    topics = Topics(*((Candidate(topic, len(samples), 1.0, 0.0, 1.0, False, samples),)
-                      for topic, samples in (('/imu/data', imu), ('/gps/fix', fixes))), ())
-    found = configured(topics, [look(of.recording.name, imu, fixes)], [fixes])
+    found = what_is_found(of, units)
     offset = found.mounting.offset
     shown = offset is not None and offset.shown
     rows = [row(of, number, 'configure', found.values, offset.lag if shown else 0.0,
@@ -462,7 +495,7 @@ def evidence(data: Path):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('what', choices=('drives', 'slow', 'simulated', 'measured', 'evidence'))
+    parser.add_argument('what', choices=('drives', 'slow', 'joint', 'simulated', 'measured', 'evidence'))
     parser.add_argument('data', nargs='?', type=Path, help='folder of the measured recordings, or RESULTS.csv')
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--diagnose', action='store_true')
@@ -477,6 +510,8 @@ def main():
                options.rates, options.processes)
     elif options.what == 'slow':
         slow(options.drives, options.first, options.processes)
+    elif options.what == 'joint':
+        joint(options.drives, options.first, options.processes)
     elif options.what == 'simulated':
         simulated(options.drives, options.processes)
     else:

@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from mems_ins_fusion.configuration.check import judge_mounting
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.memory import Head, views
 from mems_ins_fusion.filter.runs.live import FusionFilter
@@ -23,6 +24,7 @@ from mems_ins_fusion.filter.start.plausibility import direction_in_motion
 from mems_ins_fusion.filter.trust.scale import scale
 from mems_ins_fusion.navigation.earth import radii, to_local
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, wrap
+from mems_ins_fusion.parameters import table
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk, gauss_markov_at
 from mems_ins_fusion.simulation.drive import Path
 from mems_ins_fusion.simulation.manoeuvres import Segment
@@ -367,6 +369,19 @@ def test_who_seems_to_drive_off_sideways_or_backwards_has_the_imu_turned_and_is_
 BENDS = Segment(38.0), Segment(6.0, 0.0, 1.5), Segment(6.0, -2.0), Segment(6.0, 1.5), Segment(7.0, 0.0, -1.5)
 
 
+def from_then_on(recording, since):
+    """Samples in axes of the sensors, forward-right-down, and positions as `direction_in_motion` takes them, from
+    `since` s on."""
+    moving = recording.imu.stamp[0] + round(since * 1e9)
+    force, rate = recording.imu.specific_force, recording.imu.angular_rate
+    samples = np.column_stack([(recording.imu.stamp - moving) * 1e-9, force @ FLU_TO_FRD, rate @ FLU_TO_FRD])
+    fixes = recording.gnss.select(recording.gnss.stamp >= moving)
+    place = [to_local(*one, (fixes.latitude[0], fixes.longitude[0], fixes.height[0])) for one in zip(
+        fixes.latitude, fixes.longitude, fixes.height)]
+    positions = np.column_stack([(fixes.stamp - moving) * 1e-9, np.array(place)[:, :2], np.full(len(place), 1.5)])
+    return samples[samples[:, 0] >= 0.0], positions
+
+
 @pytest.mark.parametrize('yaw', [0, 60, 90, 180, 270])
 @pytest.mark.parametrize('course', [0.0, 2.2])
 def test_turns_and_changes_of_speed_show_how_the_imu_is_turned(template, yaw, course):
@@ -374,19 +389,26 @@ def test_turns_and_changes_of_speed_show_how_the_imu_is_turned(template, yaw, co
     turned = math.radians(yaw)
     _, recording = recorded(driven(template, (STAND, GO, *BENDS), course), 3, **CAR,
                             **{'imu.mounting_rpy': [0.0, math.radians(6.0), turned]})
-    moving = recording.imu.stamp[0] + 18_000_000_000
-    force, rate = recording.imu.specific_force, recording.imu.angular_rate
-    samples = np.column_stack([(recording.imu.stamp - moving) * 1e-9, force @ FLU_TO_FRD, rate @ FLU_TO_FRD])
-    samples = samples[samples[:, 0] >= 0.0]
-    fixes = recording.gnss.select(recording.gnss.stamp >= moving)
-    place = [to_local(*one, (fixes.latitude[0], fixes.longitude[0], fixes.height[0])) for one in zip(
-        fixes.latitude, fixes.longitude, fixes.height)]
-    positions = np.column_stack([(fixes.stamp - moving) * 1e-9, np.array(place)[:, :2], np.full(len(place), 1.5)])
+    samples, positions = from_then_on(recording, 18.0)
     # when the way is straight and the speed constant, then it tells nothing
     straight = slice(0, 35 * round(RATE))
     assert direction_in_motion(samples[straight], blocks_of(samples[straight]), positions[:36]) is None
     # when there are bends and brakes, then it tells the direction
     assert abs(wrap(direction_in_motion(samples, blocks_of(samples), positions) - turned)) < 0.35
+
+
+@pytest.mark.parametrize('yaw', [0, 90, 180, -90])
+def test_the_start_and_the_later_checks_tell_the_same_direction(yaw):
+    # given a drive with an IMU that is turned by so much, of which no parameter knows
+    _, recording = recorded(simulate_drive(150.0, 3, RATE, standstill=5.0), 2, **CAR,
+                            **{'imu.mounting_rpy': [0.0, 0.0, math.radians(yaw)]})
+    # when the start of the filter and the check of the mounting, which is that of all tools, look at it
+    samples, positions = from_then_on(recording, 0.0)
+    at_start = direction_in_motion(samples, blocks_of(samples), positions)
+    _, found = judge_mounting(recording.imu, recording.gnss, table.check({}), 0.0)
+    # then both tell that, by different estimates
+    assert found.yaw_known and abs(wrap(found.rpy[2] - math.radians(yaw))) < 4.0 * found.sigma[2]
+    assert abs(wrap(at_start - found.rpy[2])) < 0.2
 
 
 @pytest.mark.parametrize('yaw', [0, 90, 180])

@@ -662,3 +662,15 @@ def test_another_drive_is_asked_for_only_where_the_recording_is_sound(severity, 
     result = SimpleNamespace(drives=[drive], mounting=None, wrong=['they do not overlap'], missing=[], left=[])
     # then only a recording whose messages are sound is said to need turns
     assert answer(result, ['drive'], 'car.yaml').steps[0].what.startswith(step)
+
+
+def test_several_drives_are_diagnosed_together():
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.configuration import answer
+
+    # given a file from two recordings
+    result = SimpleNamespace(drives=[], mounting=SimpleNamespace(yaw_known=True), wrong=[], missing=[], left=[])
+    # then the next command has both
+    assert '--bag monday "tuesday evening"'.replace('"', "'") in answer(
+        result, ['monday', 'tuesday evening'], 'car.yaml').steps[0].command

@@ -174,12 +174,37 @@ def test_what_effects_added_later_leave_unsure_is_not_set(late, monkeypatch):
     known = Known(problem, model, None, (), findings=(added,))
     for further, certain, is_set in ((0.0, (), True), (0.3, (), False), (0.3, ('gnss_time_offset',), True)):
         track = Offset(OFFSET, 0.4, np.zeros(3), np.zeros(3), 0.0, 1.0, undecided=further)
-        trials = SimpleNamespace(beside=SimpleNamespace(track=track), origin=problem, certain=certain,
+        trials = SimpleNamespace(beside=SimpleNamespace(track=track), origin=problem, certain=certain, shown={},
                                  errors=lambda models: None)
         left = search.without_undetermined(known, trials)
         # then it is left out, unless the recordings show it for certain without a filter
         assert left.findings[0].added == is_set and len(left.model.unknowns) == len(noise) + is_set
         assert is_set or left.findings[0].reason == 'less than 3 sigma with the effects that were added later'
+
+
+@pytest.mark.parametrize('largest, is_set', [(0.95, True), (0.5, False)])
+def test_a_size_that_has_grown_beyond_all_vehicles_with_effects_added_later_is_not_set(
+        late, monkeypatch, largest, is_set):
+    # given an effect that was possible when it was added, whose size is OFFSET in the joint fit at the end
+    monkeypatch.setitem(EFFECTS['gnss_time_offset'].largest, 'time_offset', largest * OFFSET)
+    problem = Drives([Problem(late, table.check({}))])
+    noise = noise_unknowns(problem)
+    model = fit(problem, [*noise, *effect_unknowns(EFFECTS['gnss_time_offset'], {}, problem.attitude)],
+                [*calibrated(problem, noise), 0.0])
+    added = Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(0.3 * OFFSET, 0.02, 's')}, 20.0,
+                    1e-6, True, HeldOut(20.0, 1e-6, []))
+    track = Offset(OFFSET, 0.01, np.zeros(3), np.zeros(3), 0.0, 1.0, undecided=0.06)
+    # whether the recordings show it or not
+    for certain in ((), ('gnss_time_offset',)):
+        trials = SimpleNamespace(beside=SimpleNamespace(track=track), origin=problem, certain=certain, shown={},
+                                 errors=lambda models: None)
+        left = search.without_undetermined(Known(problem, model, None, (), findings=(added,)), trials)
+        # then it is set only where all of its sigma is not beyond the largest one
+        assert left.findings[0].added == is_set and len(left.model.unknowns) == len(noise) + is_set
+        assert is_set or 'more than any vehicle has' in left.findings[0].reason
+        # and told with the size for which it is not
+        told = left.findings[0].parameters['time_offset'].value
+        assert told == pytest.approx(0.3 * OFFSET if is_set else OFFSET, abs=0.05)
 
 
 def test_what_the_track_shows_for_certain_is_told_even_where_held_out_data_do_not_gain():

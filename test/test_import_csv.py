@@ -198,6 +198,65 @@ def test_times_as_dates(tmp_path):
     assert 'in date, deg' in text and (fixes.height == 0).all()
 
 
+@pytest.mark.parametrize('header, rows', [
+    ('Date,Time', [('2023-11-14', '23:59:59.75'), ('2023-11-15', '0:00:00.25')]),
+    ('time,date', [('23:59:59.75', '2023/11/14'), ('00:00:00.25', '2023/11/15')]),
+    ('Date,UTC', [('14.11.2023', '23:59:59.75'), ('15.11.2023', '00:00:00.25')])])
+def test_a_date_and_a_time_of_day_in_two_columns(tmp_path, header, rows):
+    # given two rows on both sides of a midnight
+    path = write(tmp_path / 'gnss.csv', f'{header},lat,lon', [(*row, 48, 11) for row in rows])
+    # then 2023-11-15T00:00:00Z is 1700006400
+    assert (read_gnss(path)[0].stamp - 1_700_006_400 * 10**9).tolist() == [-250_000_000, 250_000_000]
+
+
+def test_times_of_day_alone_go_on_after_midnight(tmp_path):
+    rows = [('23:59:59', 48, 11), ('0:00:00.5', 48, 11), ('00:00:01', 48, 11)]
+    fixes, text = read_gnss(write(tmp_path / 'gnss.csv', 'time,lat,lon', rows))
+    assert np.diff(fixes.stamp).tolist() == [1_500_000_000, 500_000_000] and 'in date' in text
+
+
+@pytest.mark.parametrize('rows, expected', [
+    ([('2023-11-14', '22:13:20'), ('soon', '22:13:21')], "'soonT22:13:21' in column 'date' is not a date"),
+    ([('31/05/2023', '22:13:20')], "'31-05-2023T22:13:20' in column 'date' is not a date such as 2024-05-31"),
+    ([('2023-11-14', '22:13:20'), ('2023-11-14', 'noon')], 'line 3')])
+def test_dates_that_are_none_are_told(tmp_path, rows, expected):
+    path = write(tmp_path / 'gnss.csv', 'date,time,lat,lon', [(*row, 48, 11) for row in rows])
+    with pytest.raises(RecordingError, match=expected.replace('(', '.')):
+        read_gnss(path)
+
+
+def test_the_clock_of_an_arduino_has_its_unit_in_its_name(tmp_path):
+    # given fixes each 4 ms and each 10 s, whose intervals do not tell the unit
+    for name, interval, expected in (('Millis', 4, 4_000_000), ('micros', 10_000_000, 10_000_000_000)):
+        rows = [(1000 + interval * i, 48, 11) for i in range(3)]
+        fixes, _ = read_gnss(write(tmp_path / 'gnss.csv', f'{name},lat,lon', rows))
+        assert np.diff(fixes.stamp).tolist() == [expected] * 2
+
+
+def test_one_log_of_both_has_a_fix_where_the_position_changes(tmp_path, capsys):
+    # given a row for each sample, the last position repeated until there is another, or none before the first one
+    place = [('', '', '')] * 50 + [(48.0, 11.0, 400.0)] * 100 + [(48.0, 11.0000001, 400.0)] * 100 + [
+        (48.0, 11.0000001, 400.5)] * 50
+    rows = [(10 * i, *row[1:], *where, 0.1 * (i // 50), 0.0) for i, (row, where) in enumerate(zip(imu_rows(), place))]
+    log = write(tmp_path / 'log.csv', 't,ax,ay,az,wx,wy,wz,lat,lon,alt,vn,ve', rows)
+    # when it is named twice
+    assert run((log, log, tmp_path / 'bag')) == 0
+    # then there are three fixes, at the times of the samples that have them first, in their unit, ms
+    recording = read_recording(tmp_path / 'bag', '/imu/data', '/gps/fix',
+                               velocity_topic='/gps/velocity')
+    assert len(recording.imu) == 300 and (recording.gnss.status == 0).all()
+    assert ((recording.gnss.stamp - recording.imu.stamp[0]) * 1e-9).tolist() == [0.5, 1.5, 2.5]
+    assert recording.velocity.velocity[:, 0] == pytest.approx([0.1, 0.3, 0.5])
+    # and in another file with the same name for its time, all rows count
+    other = write(tmp_path / 'other.csv', 't,lat,lon,alt', [(row[0], *row[7:10]) for row in rows[50:]])
+    assert len(read_gnss(other, time_unit='ms')[0]) == 250
+
+
+def test_missing_heights_are_told(tmp_path):
+    assert 'no column of heights: 0 m' in read_gnss(write(tmp_path / 'a.csv', 'time,lat,lon', [(T0, 48, 11)]))[1]
+    assert 'no column' not in read_gnss(write(tmp_path / 'b.csv', 'time,lat,lon,alt', [(T0, 48, 11, 5)]))[1]
+
+
 def test_columns_given_by_name_and_by_number(files, tmp_path):
     rows = [(row[0], *row[1:4], *row[1:4], 0.5) for row in imu_rows()]
     strange = write(tmp_path / 'strange.csv', 'clock,fx,q,ax,ay,az,p,r', rows)

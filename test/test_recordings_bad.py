@@ -42,9 +42,12 @@ def test_an_absent_path(tmp_path):
 
 
 def test_a_path_that_is_no_recording(tmp_path):
-    text = tmp_path / 'notes.txt'
+    text = tmp_path / 'notes.md'
     text.write_text('hello')
-    assert 'notes.txt is not a recording: expected a rosbag2 folder' in complaint(text)
+    assert 'notes.md is not a recording: expected a rosbag2 folder' in complaint(text)
+    assert 'import_csv' not in complaint(text)
+    log = text.rename(tmp_path / 'log.CSV')
+    assert 'log.CSV is not a recording' in complaint(log) and 'import_csv makes one' in complaint(log)
     assert 'is not a recording: it holds no metadata.yaml' in complaint(tmp_path)
     # and the folder above one
     (tmp_path / 'bag').mkdir()

@@ -54,12 +54,15 @@ def import_csv(options: argparse.Namespace):
     yield text
     fixes, aided = None, {}
     if options.gnss:
-        fixes, text = csv_import.read_gnss(
-            options.gnss, gnss_options['columns'], options.gnss_time_unit, options.angle_unit, options.gnss_sigma,
-            rows=gnss_options.get('rows'))
+        columns, time_unit, of_imu = gnss_options['columns'], options.gnss_time_unit, False
+        if Path(options.gnss).resolve() == Path(options.imu).resolve():  # one log of both, with one time
+            of_imu, time_unit = not gnss_options.get('rows'), time_unit or options.imu_time_unit
+            columns = {**{name: column for name, column in imu_options['columns'].items() if name == 'time'}, **columns}
+        fixes, text = csv_import.read_gnss(options.gnss, columns, time_unit, options.angle_unit, options.gnss_sigma,
+                                           rows=gnss_options.get('rows'), of_imu=of_imu)
         yield text
-        velocity = csv_import.read_velocity(options.gnss, gnss_options['columns'], options.gnss_time_unit,
-                                            rows=gnss_options.get('rows'))
+        velocity = csv_import.read_velocity(options.gnss, columns, time_unit, rows=gnss_options.get('rows'),
+                                            of_imu=of_imu)
         if velocity is not None:
             aided['velocity'], text = velocity
             yield text

@@ -11,14 +11,14 @@ from ..evaluation.verdict import BETTER, CANNOT_TELL, WORSE, Verdict
 from . import learned_mounting
 from .detection import detect
 from .drives import Drives, part
-from .estimate import PLAIN, Estimate, widened
+from .estimate import PLAIN, Estimate
 from .exact import sigmas
 from .findings import Diagnosis, Finding
 from .fit import Model
 from .folds import parts, which_part
 from .held_out import HeldOut
 from .judgement import RUNS, candidates, compared, gain_proven, judged, objection_to_errors, predicts_worse
-from .judging import by_drive_of
+from .judging import by_drive_of, sizes_of
 from .known import Known
 from .measured import Measured, in_common, saved
 from .noise import LARGEST_FACTOR
@@ -357,11 +357,7 @@ def _estimates(known: Known, trials: TrialRuns) -> dict[str, dict[str, Estimate]
     """The parameters of each finding that are in the last joint fit, by the name of its effect."""
     model = known.model
     sigma = sigmas(model, trials.beside.track, trials.origin.given)
-    return {finding.name: widened({
-        u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
-        for u, x, s in zip(model.unknowns, model.x, sigma)
-        if u.effect == finding.name and not u.noise and u.parameter in finding.parameters})
-        for finding in known.findings}
+    return {finding.name: sizes_of(finding, model, sigma) for finding in known.findings}
 
 
 def _proven_sigmas(known: Known, estimates: dict[str, dict[str, Estimate]], trials: TrialRuns) -> dict[str, float]:

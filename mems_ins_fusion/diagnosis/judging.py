@@ -10,6 +10,7 @@ from ..effects.base import Effect
 from .agreement import by_drive, contradicted, said
 from .estimate import PLAIN, Estimate, widened
 from .exact import sigmas
+from .findings import Finding
 from .fit import Model, fit, refined
 from .held_out import HeldOut, certainly_better, gain_of, held_out
 from .judgement import compared, objection
@@ -131,6 +132,13 @@ def small(model: Model, own: Sequence[int], sigma: np.ndarray) -> str:
             if value <= own_sigma:
                 return f'{unknown.parameter} is not determined: its sigma is as large as the value'
     return ''
+
+
+def sizes_of(finding: Finding, model: Model, sigma: np.ndarray) -> dict[str, Estimate]:
+    """The parameters of an effect that are in `model`; sigma: (p,) of all its unknowns."""
+    return widened({u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
+                    for u, x, s in zip(model.unknowns, model.x, sigma)
+                    if u.effect == finding.name and not u.noise and u.parameter in finding.parameters})
 
 
 def _diluted(estimate: Estimate, part: float) -> Estimate:

@@ -21,7 +21,7 @@ from .fit import Model, fit, scores
 from .folds import parts
 from .held_out import CERTAIN, held_out
 from .judgement import compared, objection, objection_to_errors, overall_ratio
-from .judging import CLOSE, COMPARED, REFITTED, Judged, judge, prune, small, with_candidate
+from .judging import CLOSE, COMPARED, REFITTED, Judged, judge, prune, sizes_of, small, with_candidate
 from .known import Known
 from .measured import saved
 from .noise import calibrated, noise_unknowns
@@ -280,14 +280,22 @@ def without_superseded(known: Known, trials: TrialRuns) -> Known:
 
 
 def without_undetermined(known: Known, trials: TrialRuns) -> Known:
-    """`known` without the effects and parameters that are not determined any more since others were added: the limits
-    are those for adding an effect."""
-    model, reasons = known.model, {}
+    """`known` without the effects and parameters that are not determined any more since others were added, or that no
+    vehicle can have: the limits are those for adding an effect."""
+    model, reasons, impossible = known.model, {}, {}
     sigma = sigmas(model, trials.beside.track, trials.origin.given)
     for finding in known.findings:
         own = [i for i, u in enumerate(model.unknowns) if u.effect == finding.name and not u.noise]
-        if finding.added and own and finding.name not in trials.certain and (why := small(model, own, sigma)):
-            reasons[finding.name] = f'{why} with the effects that were added later'
+        if not (finding.added and own):
+            continue
+        sizes = sizes_of(finding, model, sigma)
+        why = implausible(finding.name, sizes, trials.shown)
+        if why:
+            impossible[finding.name] = sizes
+        elif finding.name not in trials.certain and (less := small(model, own, sigma)):
+            why = f'{less} with the effects that were added later'
+        if why:
+            reasons[finding.name] = why
     kept = [i for i, u in enumerate(model.unknowns) if u.noise or u.effect not in reasons]
     if reasons:
         model = fit(known.problem, [model.unknowns[i] for i in kept], model.x[kept], REFITTED)
@@ -301,8 +309,9 @@ def without_undetermined(known: Known, trials: TrialRuns) -> Known:
     for finding in known.findings:
         own = {u.name for u in known.model.unknowns if u.effect == finding.name and not u.noise}
         if finding.added and own and not own & left:
-            finding = replace(finding, added=False, reason=reasons.get(
-                finding.name, 'not determined with the effects that were added later'))
+            finding = replace(finding, added=False, parameters=finding.parameters | impossible.get(finding.name, {}),
+                              reason=reasons.get(
+                                  finding.name, 'not determined with the effects that were added later'))
         findings.append(finding)
     estimates = tuple(_by_part(pruned, known.noise))
     known = replace(known, model=pruned, estimates=estimates, findings=tuple(findings), hidden=known.hidden | gone)

@@ -221,6 +221,7 @@ def _missing_pages(path: Path) -> tuple[int, str | None]:
     return size - size % page_size, f'it breaks off at {size / 1e6:.3g} MB of {page_size * pages / 1e6:.3g} MB'
 
 
+_TEXT = '.csv', '.txt'
 _STORAGES = {'.mcap': McapFile, '.db3': _Sqlite3File, '.bag': Rosbag1File}
 
 
@@ -233,7 +234,9 @@ def _storage_files(path: Path) -> list[Path]:
     if path.name == 'metadata.yaml':
         return _files_of_folder(path.parent)
     if not _is_storage(path):
-        raise RecordingError(f'{path} is not a recording: expected a rosbag2 folder, or an .mcap, .db3 or .bag file')
+        expected = 'a rosbag2 folder, or an .mcap, .db3 or .bag file'
+        log = '; import_csv makes one of a log in CSV' if path.suffix.lower() in _TEXT else ''
+        raise RecordingError(f'{path} is not a recording: expected {expected}{log}')
     return [path]
 
 

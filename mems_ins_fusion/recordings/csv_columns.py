@@ -24,14 +24,17 @@ _ACCELEROMETER = ('a', 'acc', 'accel', 'accelerometer', 'acceleration', 'lineara
                   'accelerometers', 'arss')
 _GYROSCOPE = ('w', 'g', 'gyr', 'gyro', 'gyroscope', 'omega', 'angularvelocity', 'angularrate', 'rate', 'wrss')
 TIME = ('time', 'timeus', 'timems', 'timens', 't', 'timestamp', 'stamp', 'sec', 'seconds', 'unixtime', 'utc', 'epoch',
-        'headerstamp', 'rostime')
+        'headerstamp', 'rostime', 'millis', 'milliseconds', 'micros', 'microseconds', 'utctime', 'gpstime', 'timeofday')
+#: units of time that are the name itself, or stand at its end without a sign between: TimeUS, millis of Arduino, iTOW
+_UNIT_OF_TIME = (('us', 'us|micros|microseconds'), ('ms', 'ms|millis|milliseconds'), ('ns', 'ns'))
 
 
 def _axis_aliases(prefixes, axis):
     return tuple(f'{prefix}{axis}' for prefix in prefixes) + tuple(f'{axis}{prefix}' for prefix in prefixes)
 
 
-#: time in two columns, week and seconds (or ms, GMS) of GPS time, or in six, a date
+#: time in two columns, a date and a time of day, or week and seconds (or ms, GMS) of GPS time; or in six, a date
+_DAY = ('date', 'utcdate', 'gpsdate', 'datum')
 _WEEK = ('week', 'gpsweek', 'gwk', 'wn')
 _INTO_WEEK = ('tow', 'sow', 'seconds', 'secondsofweek', 'itow', 'gms', 'gpstow', 'gpssow', 'gpsseconds', 'gpssec')
 DATE = (('year',), ('month',), ('day',), ('hour',), ('min', 'minute'), ('sec', 'second', 'seconds'))
@@ -115,14 +118,35 @@ def match(table: Table, given: str) -> Column | None:
 
 
 def time_source(table: Table, columns: dict[str, str]) -> tuple[str, ...] | None:
-    """The columns of time: one, week and seconds of GPS time, or six of a date; None where there are none."""
+    """The columns of time: one, a date and a time of day, week and seconds of GPS time, or six of a date; None where
+    there are none."""
     if 'time' in columns:
         found = match(table, columns['time'])
-        return (found.name,) if found else None
+        return _with_day(table, found.name) if found else None
     date = tuple(table.find(aliases) for aliases in DATE)
     week, into = (table.find(aliases) for aliases in (_WEEK, _INTO_WEEK))
     name = table.find(TIME)
-    return (date if all(date) else (name,) if name else (week, into) if week and into else (into,) if into else None)
+    return (date if all(date) else _with_day(table, name) if name else (week, into) if week and into else
+            (into,) if into else None)
+
+
+def _with_day(table: Table, name: str) -> tuple[str, ...]:
+    """The column of time `name`, with that of the date before it if it holds times of day."""
+    day = table.find(_DAY) if is_time_of_day(table, name) else None
+    return (day, name) if day and day != name else (name,)
+
+
+def is_time_of_day(table: Table, name: str) -> bool:
+    """Whether the first cell of a column is a time of day without a date."""
+    cells = table.columns[table.names.index(name)]
+    return bool(re.fullmatch(r'\s*\d{1,2}:\d\d(:\d\d([.,]\d*)?)?\s*[Zz]?\s*', cells[0]))
+
+
+def unit_of_time(name: str) -> str | None:
+    """The unit of time that a column's name tells without a sign before it, None where it tells none."""
+    if name.lower() in ('itow', 'gms'):
+        return 'ms'
+    return next((unit for unit, ends in _UNIT_OF_TIME if re.search(f'({ends})$', name, re.IGNORECASE)), None)
 
 
 def values_of(table: Table, columns) -> np.ndarray:

@@ -18,9 +18,11 @@ from mems_ins_fusion.recordings.csv_columns import (
     SPEED_COLUMNS,
     Column,
     find,
+    is_time_of_day,
     match,
     summary,
     time_source,
+    unit_of_time,
     values_of,
 )
 from mems_ins_fusion.recordings.csv_proposal import proposal
@@ -153,14 +155,15 @@ class _SensorFile:
 
 
 def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle_unit=None,
-              sigma: float = 2.5, *, rows: tuple[str, str] | None = None) -> tuple[Fixes, str]:
+              sigma: float = 2.5, *, rows: tuple[str, str] | None = None, of_imu: bool = False) -> tuple[Fixes, str]:
     """Fixes, and the columns that were used.
 
     path: CSV, or NMEA. columns, units, rows: as for `read_imu`, with the keys of GNSS_COLUMNS; angles without a unit
     are in degrees, or in 1e-7 deg if they are beyond 360. sigma: horizontal standard deviation, m, if the file has no
     column for it; multiplied by HDOP if there is a column for this. Without columns the vertical one is twice that, and
     the height is zero. Rows with an empty or impossible position, or a status without a fix, become messages without a
-    fix. Raises RecordingError.
+    fix. of_imu: the file has a row for each sample of the IMU: only rows with another position than the row before are
+    fixes. Raises RecordingError.
     """
     if not 0 < sigma < np.inf:
         raise RecordingError(f'the sigma of fixes must be above 0, got {sigma:g}')
@@ -168,7 +171,7 @@ def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle
         return _nmea_fixes(path, sigma)
     table, columns = _selected_rows(read_table(path), rows), columns or {}
     found = _require(table, ('latitude', 'longitude'), GNSS_COLUMNS, columns)
-    stamp, time_unit = _times(table, columns, time_unit, _LONGEST_INTERVAL, found)
+    table, stamp, time_unit = _received(table, columns, time_unit, of_imu, found)
     found |= {wanted: column for wanted in ('height', 'sigma', 'vertical_sigma', 'hdop', 'status')
               if (column := find(table, wanted, GNSS_COLUMNS, columns))}
     latitude, longitude = (table.numbers(found[name].name) for name in ('latitude', 'longitude'))
@@ -197,7 +200,21 @@ def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle
     kind = 2 if horizontal is not None and vertical is not None else 1  # diagonal known, or approximated
     fixes = Fixes(stamp, np.maximum.accumulate(stamp), latitude, longitude, height, covariance,
                   np.where(present, status, -1).astype(np.int8), np.full(len(stamp), kind, np.uint8))
-    return fixes, summary(table, found, len(stamp), (time_unit, angle_unit))
+    text = summary(table, found, len(stamp), (time_unit, angle_unit))
+    return fixes, text if 'height' in found else f'{text}; no column of heights: 0 m'
+
+
+def _received(table: Table, columns: dict[str, str], time_unit, of_imu: bool, found: dict[str, Column]
+              ) -> tuple[Table, np.ndarray, str]:
+    """The rows of `table` that the receiver sent, their stamps and the unit of these; see `_times`. of_imu: those that
+    have a position, and another one than the row before."""
+    stamp, unit = _times(table, columns, time_unit, _LONGEST_IMU_INTERVAL if of_imu else _LONGEST_INTERVAL, found)
+    if not of_imu:
+        return table, stamp, unit
+    place = [find(table, name, GNSS_COLUMNS, columns) for name in ('latitude', 'longitude', 'height')]
+    rows = list(zip(*(table.columns[table.names.index(column.name)] for column in place if column)))
+    new = np.array([row != before and all(map(str.strip, row)) for row, before in zip(rows, [None, *rows])])
+    return table.select(new), stamp[new], unit
 
 
 def _nmea_fixes(path, sigma: float) -> tuple[Fixes, str]:
@@ -246,11 +263,11 @@ def _statuses(table: Table, name: str) -> np.ndarray:
 
 
 def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None, *,
-                  rows: tuple[str, str] | None = None) -> tuple[Velocities, str] | None:
+                  rows: tuple[str, str] | None = None, of_imu: bool = False) -> tuple[Velocities, str] | None:
     """The receiver's velocities in the file of the fixes, and the columns that were used; None without such columns.
 
-    columns: as for `read_gnss`. In the unit in brackets, else m/s. Without a column `down` the vertical velocity is
-    NaN; without one for the standard deviation the covariance is NaN. Raises RecordingError.
+    columns, of_imu: as for `read_gnss`. In the unit in brackets, else m/s. Without a column `down` the vertical
+    velocity is NaN; without one for the standard deviation the covariance is NaN. Raises RecordingError.
     """
     if read_text(path, 'utf-8', 'replace').lstrip()[:1] == '$':
         return None
@@ -259,7 +276,7 @@ def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None, *
     found = {wanted: column for wanted in parts if (column := find(table, wanted, GNSS_COLUMNS, columns))}
     if 'north' not in found or 'east' not in found:
         return None
-    stamp, time_unit = _times(table, columns, time_unit, _LONGEST_INTERVAL, found)
+    table, stamp, time_unit = _received(table, columns, time_unit, of_imu, found)
     unit = found['north'].unit_among(SPEED_UNITS)
     north, east, down, sigma = (SPEED_UNITS[unit] * table.numbers(found[wanted].name) if wanted in found
                                 else np.full(len(stamp), np.nan) for wanted in parts)
@@ -379,20 +396,33 @@ def _times(table: Table, columns: dict[str, str], unit, longest: float, found: d
         raise RecordingError(f'{table.path} has no column that looks like time; {table.listing()}'
                              f'{proposal(table, tuple(found), found, columns)}')
     found['time'] = Column(' '.join(source))
-    if len(source) == len(DATE):
-        cells = tuple(_date(row) for row in zip(*(table.columns[table.names.index(name)] for name in source)))
-        stamp, _ = Table(table.path, ['date'], [cells], table.lines).times('date')
-        nano = table.find(('nano',))
-        return stamp + (0 if nano is None else table.numbers(nano).astype(np.int64)), 'date'
     name = source[-1]
+    cells = [table.columns[table.names.index(column)] for column in source]
+    if len(source) == len(DATE) or is_time_of_day(table, name):
+        dates = tuple(_date(row) for row in zip(*cells)) if len(source) == len(DATE) else _dated(*cells)
+        stamp, _ = Table(table.path, ['date'], [dates], table.lines).times('date')
+        nano = table.find(('nano',)) if len(source) == len(DATE) else None
+        return stamp + (0 if nano is None else table.numbers(nano).astype(np.int64)), 'date'
     time = match(table, columns['time']) if 'time' in columns else Column(name)
-    # TimeUS, iTOW
-    suffix = re.search('(us|ms|ns)$', name, re.IGNORECASE)
-    spelled = suffix.group(1).lower() if suffix else 'ms' if name.lower() in ('itow', 'gms') else None
-    stamp, unit = table.times(name, time.unit_among(TIME_UNITS) if time.stated else unit or spelled, longest)
+    stamp, unit = table.times(name, time.unit_among(TIME_UNITS) if time.stated else unit or unit_of_time(name), longest)
     if len(source) == 2:
         return utc_of_week(table.numbers(source[0]), stamp), f'GPS weeks and {unit}'
     return stamp, unit
+
+
+def _dated(*cells) -> tuple[str, ...]:
+    """ISO 8601 of dates (2024-05-31, 2024/05/31 or 31.05.2024) and times of day, or of times of day alone: then from
+    1970-01-01 on, with a day more after each midnight. An invalid one is found when the text is read."""
+    *days, clocks = cells
+    clocks = [f'0{clock}' if clock.find(':') == 1 else clock for clock in map(str.strip, clocks)]
+    if days:
+        days = [re.sub(r'^(\d\d?)\.(\d\d?)\.(\d{4})$', r'\3-\2-\1', day.strip()) for day in days[0]]
+        days = ['-'.join(part.zfill(2) for part in re.split('[-/.]', day)) for day in days]
+    else:
+        midnights = np.cumsum(np.diff([int(f'0{clock[:2]}') if clock[:2].isdigit() else 0 for clock in clocks],
+                                      prepend=0) < -12)
+        days = [f'1970-01-{1 + passed:02d}' for passed in midnights]
+    return tuple(f'{day}T{clock}' for day, clock in zip(days, clocks))
 
 
 def _date(row) -> str:

@@ -78,7 +78,7 @@ def answer(result: Configuration, bags: list[str], output: str) -> Answer:
     recordings and of the file, for the commands."""
     found, wrong = result.mounting, doubts(result)
     path, name = shlex.quote(output), PurePath(output).name
-    steps = [Step('Find what is missing in it:', f'python -m mems_ins_fusion diagnose --bag {shlex.quote(bags[0])} '
+    steps = [Step('Find what is missing in it:', f'python -m mems_ins_fusion diagnose --bag {shlex.join(bags)} '
                   f'--params-file {path} --output diagnosis'),
              Step('Look at how good it is on this recording:', f'python -m mems_ins_fusion replay_node --ros-args '
                   f'--params-file {path} -p bag:={shlex.quote(bags[0])} -p output_dir:=replay'),
