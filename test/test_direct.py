@@ -86,6 +86,17 @@ def test_an_imu_declared_the_wrong_way_round_is_set_to_how_it_is_mounted(recordi
     assert np.arccos((np.trace(to_be @ mounted.T) - 1.0) / 2.0) < math.radians(3.0)
 
 
+@pytest.mark.parametrize(('yaw', 'parts'), [(3.0, {'roll', 'pitch', 'yaw'}), (0.3, {'roll', 'pitch'})])
+def test_a_yaw_counts_where_it_is_sharp_or_certainly_off(recording, monkeypatch, yaw, parts):
+    # given a mounting whose yaw is known to 10 deg only, and a tilt that is off
+    seen = Mounting(rotation_from_rpy(0.2, 0.0, yaw), np.radians([1.0, 1.0, 10.0]))
+    monkeypatch.setattr(direct, 'estimate_mounting', lambda imu, fixes: seen)
+    # then half a turn is part of the finding, and what may be nothing is not
+    found, = shown_directly(until(recording, 60), DEFAULTS)
+    assert found.parameters.keys() == parts
+    assert found.changes['imu.mounting_rpy'] == pytest.approx([0.2, 0.0, yaw if 'yaw' in parts else 0.0])
+
+
 def test_sigmas_of_large_angles_are_those_of_angles_drawn_about_them():
     # given a rotation by large angles with errors about forward, left and up of the vehicle
     sigma, true = np.array([0.01, 0.02, 0.03]), rotation_from_rpy(0.3, -0.9, 2.0)
