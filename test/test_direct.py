@@ -6,14 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.configuration.check import SMALL_OFFSET
+from mems_ins_fusion.configuration.mounting import Mounting
+from mems_ins_fusion.configuration.remaining import remaining_of
 from mems_ins_fusion.diagnosis import direct
 from mems_ins_fusion.diagnosis.direct import looked, shown_directly
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import (
     GnssNoise,
@@ -69,6 +73,48 @@ def test_what_is_left_of_antenna_and_mounting_is_set_beside_what_is_declared(rec
     turned, = shown_directly(recording, {**right, 'imu.mounting_rpy': [0.0, 0.0, math.radians(10.0)]})
     assert turned.name == 'mounting_rotation'
     assert turned.changes['imu.mounting_rpy'] == pytest.approx([0.0, 0.0, 0.0], abs=math.radians(2.0))
+
+
+@pytest.mark.parametrize('declared', [(0.0, 0.0, math.pi), (0.1, -0.05, 3.1), (0.0, 0.0, -math.pi / 2.0),
+                                      (0.05, 0.1, 1.6)], ids=str)
+def test_an_imu_declared_the_wrong_way_round_is_set_to_how_it_is_mounted(recording, declared):
+    # given an IMU in the axes of the vehicle, and parameters that turn it by a right angle or two, and tilt it
+    found, = shown_directly(recording, {**DEFAULTS, 'gnss.time_offset': OFFSET, 'imu.mounting_rpy': list(declared)})
+    assert found.name == 'mounting_rotation'
+    # then no tilt comes in with the large yaw
+    to_be, mounted = (rotation_from_rpy(*rpy) for rpy in (found.changes['imu.mounting_rpy'], (0.0, 0.0, 0.0)))
+    assert np.arccos((np.trace(to_be @ mounted.T) - 1.0) / 2.0) < math.radians(3.0)
+
+
+@pytest.mark.parametrize(('yaw', 'parts'), [(3.0, {'roll', 'pitch', 'yaw'}), (0.3, {'roll', 'pitch'})])
+def test_a_yaw_counts_where_it_is_sharp_or_certainly_off(recording, monkeypatch, yaw, parts):
+    # given a mounting whose yaw is known to 10 deg only, and a tilt that is off
+    seen = Mounting(rotation_from_rpy(0.2, 0.0, yaw), np.radians([1.0, 1.0, 10.0]))
+    monkeypatch.setattr(direct, 'estimate_mounting', lambda imu, fixes: seen)
+    # then half a turn is part of the finding, and what may be nothing is not
+    found, = shown_directly(until(recording, 60), DEFAULTS)
+    assert found.parameters.keys() == parts
+    assert found.changes['imu.mounting_rpy'] == pytest.approx([0.2, 0.0, yaw if 'yaw' in parts else 0.0])
+
+
+def test_sigmas_of_large_angles_are_those_of_angles_drawn_about_them():
+    # given a rotation by large angles with errors about forward, left and up of the vehicle
+    sigma, true = np.array([0.01, 0.02, 0.03]), rotation_from_rpy(0.3, -0.9, 2.0)
+    drawn = Rotation.from_rotvec(np.random.default_rng(0).normal(size=(4000, 3)) * sigma) * Rotation.from_matrix(true)
+    # when its angles are taken beside no declared mounting
+    left = remaining_of(Mounting(true, sigma), DEFAULTS)[:3]
+    # then values and sigmas are those of the angles drawn
+    angles = drawn.as_euler('xyz')
+    assert [one.value for one in left] == pytest.approx([0.3, -0.9, 2.0])
+    assert [one.sigma for one in left] == pytest.approx(angles.std(axis=0), rel=0.05)
+
+
+def test_half_a_turn_to_either_side_is_the_same():
+    # given two looks at an IMU that is mounted backwards
+    one, other = Estimate(3.13, 0.02, 'rad'), Estimate(-3.13, 0.02, 'rad')
+    # then they agree, and two lengths with the same numbers do not
+    assert not one.differs(other)
+    assert replace(one, unit='m').differs(replace(other, unit='m'))
 
 
 def test_a_wheel_speed_that_is_late_is_told_by_the_name_of_its_input(recording):

@@ -184,7 +184,8 @@ def test_links_lead_somewhere(page):
 
 #: pages that describe the code with the names of its functions and constants
 PAGES_OF_CODE = [REPOSITORY / 'docs' / f'{name}.md' for name in
-                 ('ablation', 'filter', 'how_to_add', 'hypotheses', 'live_loop', 'standstill', 'way_of_a_fix')]
+                 ('ablation', 'filter', 'horizon', 'how_to_add', 'hypotheses', 'live_loop', 'standstill',
+                  'way_of_a_fix')]
 #: extensions of files, which are not names in a module
 EXTENSIONS = {'py', 'md', 'yaml', 'json', 'html', 'csv', 'png', 'tum', 'gpx', 'kml', 'geojson', 'service'}
 

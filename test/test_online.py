@@ -648,6 +648,29 @@ def test_a_mounting_that_the_filter_finds_out_itself_is_proven(monkeypatch):
     assert FINE not in states(0.0, turn, 10)
 
 
+def test_where_only_the_finding_lets_the_filter_start_it_is_told_how_to_apply_it():
+    # given an IMU that is declared backwards, with which the filter refuses to start while the vehicle drives forwards
+    sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
+    recording = simulate_recording(simulate_drive(310.0, seed=5, rate=20.0), sensors, GnssNoise(0.05, rate=2.0),
+                                   seed=5).recording
+    recording = replace(recording, reference=None, speed=None, velocity=None, heading=None)
+    work = Online(table.check({'imu.mounting_rpy': [0.0, 0.0, math.pi]}), blind)
+    for chunk in list(chunks(recording))[:8]:
+        said = work.take(chunk)
+    # then the mounting is found and not proven, as there is nothing to compare it with, and the reader knows what to do
+    one, = (quantity for quantity in said if quantity.name == 'mounting_rotation')
+    assert one.state == COARSE and not one.better
+    assert 'an estimate only with it' in one.text and '~/calibration/accept' in one.text
+    # and what is applied is how it is mounted
+    one, = (quantity for quantity in work.accept() if quantity.name == 'mounting_rotation')
+    assert one.applied and '~/calibration/accept' not in one.text
+    assert work.sets['imu.mounting_rpy'] == pytest.approx([0.0, 0.0, 0.0], abs=math.radians(3.0))
+    # while a finding that both filters are compared with says nothing of it
+    compared = trial()
+    compared.take({duration: [((1.0, 0.0), (0.5, 0.0))] for duration in OUTAGES})
+    assert 'estimate only' not in compared.quantity(0, NAME).text
+
+
 def test_a_value_that_has_changed_begins_anew(monkeypatch, drive):
     monkeypatch.setattr(online, 'FIRST', CHUNK)
     monkeypatch.setattr(online, 'ANALYSIS', CHUNK)

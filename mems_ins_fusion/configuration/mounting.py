@@ -59,9 +59,10 @@ _FEWEST_SPANS = 15
 #: too few or too similar to separate motion from gravity
 _GRAVITY_ELSEWHERE = 0.1
 #: smallest ratio of specific force to acceleration: with a smaller one, noise of the fixes hides the acceleration, and
-#: longer spans are used. The same for gravity along the forward axis and the grade by heights
+#: longer spans are used. The same for the acceleration in turns, and for gravity along the forward axis and the grade
 _SMALLEST_GAIN = 0.6
-#: largest ratio of gravity along the forward axis to the grade by heights, for which the heights are those of the road
+#: largest ratio of specific force to acceleration in turns, and of gravity along the forward axis to the grade: 1, and
+#: up to a tenth more where the body rolls and pitches on its springs
 _LARGEST_GAIN = 1.5
 #: rad: evidence for the yaw with a larger standard deviation is not used
 _USABLE = 0.6
@@ -328,8 +329,9 @@ def _heading(motion: _Motion, axes):
             x, y, _ = turn @ axes @ vectors[index]
             return math.remainder(math.atan2(y, x) - towards, 2 * math.pi)
 
-        if index == _GRADE and not _SMALLEST_GAIN < np.linalg.norm(motion.fit.solution[index]) < _LARGEST_GAIN:
-            continue  # heights that have nothing to do with the road
+        # on a straight road its slopes look like a turn, and heights may have nothing to do with it
+        if index != _FORWARD and not _SMALLEST_GAIN < np.linalg.norm(motion.fit.solution[index]) < _LARGEST_GAIN:
+            continue
         seen = angle(motion.fit.solution)
         sigma = math.hypot(motion.sigma(lambda vectors: angle(vectors, seen), index), AXES_SIGMA)
         if index == _GRADE:

@@ -71,7 +71,8 @@ def _shown(part: Recording, values: dict) -> dict[str, Finding]:
     since = int(part.imu.stamp[0])
     found = {}
     for name, (sizes, least) in effects.items():
-        clear = {n: one for n, one in sizes.items() if one.sigma < vague.get(name, {}).get(n, math.inf)}
+        clear = {n: one for n, one in sizes.items()
+                 if one.sigma < vague.get(name, {}).get(n, math.inf) or one.certain(least.get(n, SMALL_ARM), SURE)}
         certain = any(one.certain(least.get(n, SMALL_ARM), SURE) for n, one in clear.items())
         if certain and (driven or name != 'mounting_rotation'):
             found[name] = _finding(name, clear, values, since)

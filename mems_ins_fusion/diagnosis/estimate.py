@@ -5,6 +5,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from ..navigation.frames import wrap
+
 #: systematic error of an estimate, relative to its value, by what no effect describes: no model of a car is exact to
 #: some per cent (a body that rolls in bends, axes that are not orthogonal, effects that are too small to be found)
 SYSTEMATIC = 0.05
@@ -32,9 +34,12 @@ class Estimate:
         return self.value is not None and self.sigma is not None and math.isfinite(self.sigma)
 
     def differs(self, other: Estimate) -> bool:
-        """Whether both are known and differ significantly."""
-        return (self.known and other.known
-                and abs(self.value - other.value) > APART * math.hypot(self.sigma, other.sigma))
+        """Whether both are known and differ significantly; angles by the smaller way round."""
+        if not (self.known and other.known):
+            return False
+        apart = self.value - other.value
+        apart = wrap(apart) if self.unit == 'rad' else apart
+        return abs(apart) > APART * math.hypot(self.sigma, other.sigma)
 
     def text(self) -> str:
         """As text, with the number of digits that the standard deviation allows."""

@@ -35,7 +35,7 @@ from .gathering import CHUNK
 from .held_out import HeldOut
 from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, Findings, Kept, Quantity, together
 from .trial import DOUBTED, Trial
-from .trial_outages import SETTLING, Predictions, pairs
+from .trial_outages import SETTLING, Predictions, has_estimate_alone, pairs
 from .window import behind, cut, joined, jumps, seconds
 
 #: s of samples before the first analysis. Chosen, not measured
@@ -324,8 +324,9 @@ class Online:
         for trial, *both in compared:
             latest = cut(before, SEEN)
             if not trial.taken and len(latest.gnss):  # for the correlation time of the errors
-                trial.see(_outages(trial, both, before, latest, {}))
-            trial.take(_outages(trial, both, self._window, chunk, known), self._now)
+                trial.see(pairs(*_outages(trial, both, before, latest, {})))
+            present, other = _outages(trial, both, self._window, chunk, known)
+            trial.take(pairs(present, other), self._now, alone=has_estimate_alone(other, present))
         self._false_alarms.pass_on((*self.trials.values(), *self.applied.values()))
         if self._applies:
             self._decide()
@@ -424,16 +425,16 @@ class Online:
         return [Quantity(now, ALL, INITIALISING, {}, text=text), *as_given]
 
 
-def _outages(trial: Trial, both: list[dict], window: Recording, chunk: Recording, known: dict):
-    """By duration, how far the fixes are from the filters with `both` parameters in the outages of `chunk`, at the end
-    of `window`. known: predictions of this chunk, by the first sample of the filters."""
+def _outages(trial: Trial, both: list[dict], window: Recording, chunk: Recording, known: dict) -> list[dict]:
+    """What the filters with `both` parameters predict in the outages of `chunk`, at the end of `window`, each as of
+    `trial_outages.predicted`. known: predictions of this chunk, by the first sample of the filters."""
     part, effect = cut(window, SETTLING + seconds(chunk)), effect_called(trial.finding.name)
     # with samples from before a change, the filter that is right after it would start with errors
     since = max(trial.finding.since, int(part.imu.stamp[0]))
     predictions = known.setdefault(since, Predictions(behind(part, since), chunk))
     lasting = effect.lasting(both[-1])
-    return {d: outages if d >= lasting else []
-            for d, outages in pairs(*(predictions.of(effect.held(one)) for one in both)).items()}
+    return [{d: outages if d >= lasting else {} for d, outages in predictions.of(effect.held(one)).items()}
+            for one in both]
 
 
 def as_given_quantity(now: int, one: Finding, advice: Advice | None) -> Quantity:

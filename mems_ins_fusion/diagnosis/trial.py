@@ -26,6 +26,8 @@ DOUBTED = 20.0
 STAKED = (0.0, CLEAR)
 #: s without fixes, of each duration, before the first stake, in which the correlation time of errors is estimated
 UNSTAKED = 30.0
+ALONE = '; the filter has an estimate only with it, so there is nothing to compare it with'
+ACCEPT = ': ~/calibration/accept applies it'
 #: number of digits of a parameter in a line to copy
 DIGITS = 5
 
@@ -57,6 +59,7 @@ class Trial:
     bets: dict[tuple[float, float], Bets] = field(default_factory=lambda: {
         (d, clear): _without_wealth(Bets(clear, math.ceil(UNSTAKED / d))) for d in OUTAGES for clear in STAKED})
     taken: int = 0
+    alone: bool = False
     number: int = 0
     share: float = field(init=False)
 
@@ -90,11 +93,12 @@ class Trial:
             return FINE if self.seen else SUSPECT
         return SUSPECT if self.applied or self.rejected or not self.seen else COARSE
 
-    def take(self, errors: dict[float, list[tuple[Place, Place]]], now: int = 0) -> None:
+    def take(self, errors: dict[float, list[tuple[Place, Place]]], now: int = 0, alone: bool = False) -> None:
         """Bet on the outages of one more chunk, by duration: distances of the fixes from both filters, m. now: ns, its
-        end."""
+        end. alone: as in the class."""
         before = self.proven
         self.taken += 1
+        self.alone = alone
         for bets in self.bets.values():
             bets.pro = float(np.logaddexp(bets.pro, -math.log(self.taken * (self.taken + 1))))
         for duration in OUTAGES:
@@ -169,11 +173,13 @@ class Trial:
                         self.applied, self.kept, self.advice.text() if self.advice and not self.proven else '')
 
     def _why(self) -> str:
-        """Why it is SUSPECT, for the sentence."""
+        """Why it is SUSPECT or cannot be proven, for the sentence."""
         if self.rejected:
             return '; predictions are worse with it'
         if not self.seen:
             return '; the last minutes show another value' if self.applied else '; not found in the last minutes'
+        if self.alone and not self.proven:
+            return f"{ALONE}{'' if self.applied else ACCEPT}"
         return '; not proven in this drive yet' if self.applied and not self.proven else ''
 
 

@@ -88,3 +88,8 @@ def pairs(present: dict, other: dict) -> dict[float, list[tuple[Place, Place]]]:
         both = [(a[begin][0], b[begin][0]) for begin in sorted(a.keys() & b.keys()) if a[begin][1] > least]
         found[duration] = [pair for pair in both if np.isfinite(sum(pair[0]) + sum(pair[1]))]
     return found
+
+
+def has_estimate_alone(other: dict, present: dict) -> bool:
+    """Whether only the first of two filters, as of `predicted`, has estimates: the other one has not started."""
+    return any(other.values()) and not any(present.values())
