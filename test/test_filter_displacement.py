@@ -235,7 +235,7 @@ def test_wheels_that_slip_without_fixes_are_refused_at_once_and_used_again(name,
 
 
 @pytest.mark.parametrize('rate', [10.0, 100.0])
-@pytest.mark.parametrize('more', [0.7, 3.0])
+@pytest.mark.parametrize('more', [0.4, 0.7, 3.0])
 def test_wheels_that_slip_again_and_again_cost_nothing_at_any_rate(rate, more):
     # given wheels that turn too fast for 3 s of each 12, also while the vehicle accelerates, brakes and turns
     recording = drive(4, speeds=rate)
