@@ -15,7 +15,7 @@ from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity,
 from ..update import ROBUST, product, project
 from . import clock_jump, contradiction, displacement, hypotheses, receiver, repeats
 from .clock_jump import LARGEST_ERROR
-from .scale import Scale, Seen, learn_changes, reopen, scale, seen_of
+from .scale import PRIOR, Scale, Seen, learn_changes, reopen, scale, seen_of
 from .standstill import SLOWEST_SPEED
 
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
@@ -52,6 +52,9 @@ LARGEST_NOISE_FACTOR = 9.0
 LEAST_NOISE = 0.2
 #: rad, the same of a heading
 LEAST_HEADING_NOISE = 0.05
+#: largest variance of the logarithm of an input's scale with which a change is judged by its noise: a factor of 1.3 in
+#: sigma at one standard deviation. Wheels that claim millimetres are not slipping, but not known yet. Chosen
+LARGEST_LOG_VARIANCE = 0.25
 #: sigmas of the change of a speed that fits again after a slip, above which its constant error may be another one: of a
 #: slip that is over it is less (95 %); one that does not end fits as the state becomes uncertain, just below ROBUST
 OTHER = 2.0
@@ -168,7 +171,8 @@ def _change(mem, r, at, n, own, noise, variance, since):
     wheel that begins to slip is found though the state is less certain than the wheel. noise: variance of the input.
     """
     gain, kind = max(0.0, min(since / SHORTEST_SLIP, 1.0)), mem[at + Event.KIND]
-    change = _first(mem, r, at, n) - mem[own + Seen.LEVEL] if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
+    is_judged = (kind == Kind.SPEED or kind == Kind.TWIST) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
+    change = _first(mem, r, at, n) - mem[own + Seen.LEVEL] if is_judged else 0.0
     return change**2, noise * 2.0 / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
 
 
