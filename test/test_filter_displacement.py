@@ -433,6 +433,23 @@ def test_a_speed_that_becomes_a_tenth_larger_has_another_scale(share):
         assert rms(off[last_minute]) < 1.1 * rms(without[last_minute]) + 0.1
 
 
+@pytest.mark.parametrize('seed', [3, 4])
+def test_a_scale_that_changes_by_little_is_not_followed_when_the_state_has_become_uncertain(seed):
+    # given fixes of 10 Hz and wheels of 100 Hz that turn by a tenth more from when the vehicle drives at about 5 m/s
+    recording = drive(seed, rate=10.0, speeds=100.0)
+    at = (recording.speed.stamp - recording.speed.stamp[0]) / SECOND
+    mean = np.convolve(recording.speed.speed, np.ones(100) / 100, 'same')
+    begin = at[np.flatnonzero((at > 80.0) & (at < 160.0) & (mean > 3.0) & (mean < 5.0))[0]]
+    off, result = off_with_fixes(recording, {'speed': changed(recording.speed, begin, 1.1)})
+    # then they are refused at once, and when they fit again it is the scale that has become another one
+    of_speed = result.measured.kind == Kind.SPEED
+    since = (result.measured.stamp[of_speed] - recording.speed.stamp[0]) / SECOND - begin
+    refused = result.measured.event[of_speed, Event.VERDICT] == Verdict.REFUSED
+    assert refused[(since > 0.0) & (since < 1.0)].mean() > 0.9
+    time = (result.stamp[-len(off):] - recording.speed.stamp[0]) / SECOND - begin
+    assert off[(time > 0.0) & (time < 30.0)].max() < 1.5  # 3.3 and 10 m where it is used as the wheels it was
+
+
 def test_a_heading_that_is_mounted_some_degrees_off_is_worth_as_much():
     for seed in (2, 3):
         # given antennas that are turned by five degrees, which nobody has declared

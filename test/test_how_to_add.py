@@ -18,9 +18,9 @@ def test_the_files_are_there(name):
 @pytest.mark.parametrize(('file', 'names'), [
     ('effects/registry.py', ['EFFECTS']), ('effects/base.py', ['Effect', 'applied', 'attitude']),
     ('filter/memory.py', ['BY_NAME', 'Head', 'MECHANIZATIONS', 'Nav']),
-    ('filter/apply.py', ['_observe']),
     ('filter/measurements/geometry.py', ['body_to_level', 'turn_attitude', 'set_heading']),
-    ('filter/measurements/registry.py', ['AIDING']), ('filter/measurements/base.py', ['Measurement', 'events']),
+    ('filter/measurements/registry.py', ['AIDING', 'by_kind']),
+    ('filter/measurements/base.py', ['Measurement', 'events']),
     ('recordings/aiding.py', ['_CHECKS']), ('filter/config.py', ['_write_head']),
     ('sensor_errors/models.py', ['MODELS', 'Model']), ('parameters/table.py', ['_sensor']),
     ('filter/runs/odometry.py', ['navigation_solution']),

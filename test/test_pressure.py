@@ -14,8 +14,9 @@ from mems_ins_fusion.configuration.dynamic_pressure import estimate_dynamic_pres
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements import pressure
+from mems_ins_fusion.filter.measurements.geometry import body_to_level
 from mems_ins_fusion.filter.measurements.pressure import height_of, metres_per_pascal, pressure_at
-from mems_ins_fusion.filter.memory import Event, Head, Kind, state_at
+from mems_ins_fusion.filter.memory import Event, Head, Kind, sample_at, state_at
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
 from mems_ins_fusion.parameters import table
@@ -67,7 +68,7 @@ def test_innovation_and_derivatives_are_those_of_the_flow_of_the_air():
     h, at = scratch + n * n, scratch + n * n + 3 * n
     memory[h:h + n], memory[scratch:scratch + n * n] = 0.0, 0.0
     memory[at + Event.VALUE], memory[at + Event.VALUE + 1], memory[at + Event.STATE] = HEIGHT - 8.0, declared, bias
-    assert pressure.observe(memory, r, at, h) == 1
+    assert pressure.observe(memory, r, at, h, n, body_to_level(memory, r), sample_at(memory, 0)) == 1
 
     def measured(away):
         """Height that it shows, m; away: true less estimated errors of the filter."""

@@ -3,15 +3,7 @@ from __future__ import annotations
 
 from mems_ins_fusion.compiled import njit
 
-from .measurements import (
-    heading,
-    magnetometer,
-    position,
-    pressure,
-    speed,
-    twist,
-    velocity,
-)
+from .measurements import position, registry, twist
 from .measurements.geometry import body_to_level, yaw_of
 from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, row_of, velocity_state
 from .prediction import set_radii
@@ -136,7 +128,7 @@ def _apply_input(mem, r, at, sample):
     n, h = begin_update(mem, r)
     before = hypotheses.position_and_velocity(mem, r)
     kind, c = mem[at + Event.KIND], _note_state(mem, r, at)
-    dimensions = _observe(mem, r, at, h, n, c, sample)
+    dimensions = registry.observe(mem, r, at, h, n, c, sample)
     if kind == Kind.PRESSURE:
         inputs.absorb_step(mem, r, at, n)
     if inputs.has_displacement(kind):
@@ -160,28 +152,6 @@ def _apply_input(mem, r, at, sample):
         if kind == Kind.SPEED or kind == Kind.TWIST:
             note_speed(mem, r, at)
     repeats.note(mem, r, at)
-
-
-@njit(_nrt=False)
-def _observe(mem, r, at, h, n, c, sample):
-    """Write innovation and rows of H of a measurement that is not a fix of the main receiver.
-
-    Returns its number of components.
-    """
-    kind = mem[at + Event.KIND]
-    if kind == Kind.VELOCITY:
-        return velocity.observe(mem, r, at, h, n, c, sample)
-    if kind == Kind.SPEED:
-        return speed.observe(mem, r, at, h, c, sample)
-    if kind == Kind.TWIST:
-        return twist.observe(mem, r, at, h, n, c, sample)
-    if kind == Kind.PRESSURE:
-        return pressure.observe(mem, r, at, h)
-    if kind == Kind.MAGNETIC:
-        return magnetometer.observe(mem, r, at, h, n, c, sample)
-    if kind == Kind.PLACE:
-        return position.observe_place(mem, r, at, h, n, c)
-    return heading.observe(mem, r, at, h, c, sample)
 
 
 @njit(_nrt=False)

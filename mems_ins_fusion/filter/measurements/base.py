@@ -1,7 +1,7 @@
 """Base class of the measurements in this folder: what each of them declares about itself."""
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 
@@ -49,25 +49,25 @@ class SensorSettings:
 class Measurement:
     """One input: the unnamed one of a kind of measurement (`is_plain`), or a named one (`NAME.type`, made by `named`).
 
-    The compiled function `observe` is in the same file (see `__init__`).
-
-    kind: unique number. name: prefix of the parameters (`NAME_topic`, `NAME.sigma`), and name of the samples in a
-    recording. samples: their class. unit: of the values. topic_text: description of `NAME_topic`. default_sigma:
-    default of `NAME.default_sigma`. offset: name of the parameter for a known constant error (such as `NAME.offset` or
-    `NAME.scale`), '' without. components: number of components of the innovation that are tested together. messages:
-    ROS types that carry it, each with the fields that `read` needs; recordings are written with the first type.
-    layouts: for message types that no other part of the package reads: (field, NumPy type of an element, number of
-    elements) of each field after the header. written_to: topic in recordings that this package writes. of_antenna:
-    whether it is measured at the GNSS antenna, with the receiver's stamps. from_satellites: whether it is withheld in
-    an outage. of_two: whether a sample is computed from two messages. needs_height: whether it can only be used with a
-    mechanization that has a height. has_arm: whether it depends on where in the vehicle it is measured. has_lag:
-    whether the filter knows a low pass that it comes through (`NAME.lag`). simulated_with: rate (Hz; 0: not simulated)
-    and errors in simulations, by the names of `simulation.Aiding`.
+    observe: the compiled function in the same file (see `__init__`). kind: unique number. name: prefix of the
+    parameters (`NAME_topic`, `NAME.sigma`), and name of the samples in a recording. samples: their class. unit: of the
+    values. topic_text: description of `NAME_topic`. default_sigma: default of `NAME.default_sigma`. offset: name of the
+    parameter for a known constant error (such as `NAME.offset` or `NAME.scale`), '' without. components: number of
+    components of the innovation that are tested together. messages: ROS types that carry it, each with the fields that
+    `read` needs; recordings are written with the first type. layouts: for message types that no other part of the
+    package reads: (field, NumPy type of an element, number of elements) of each field after the header. written_to:
+    topic in recordings that this package writes. of_antenna: whether it is measured at the GNSS antenna, with the
+    receiver's stamps. from_satellites: whether it is withheld in an outage. of_two: whether a sample is computed from
+    two messages. needs_height: whether it can only be used with a mechanization that has a height. has_arm: whether it
+    depends on where in the vehicle it is measured. has_lag: whether the filter knows a low pass that it comes through
+    (`NAME.lag`). simulated_with: rate (Hz; 0: not simulated) and errors in simulations, by the names of
+    `simulation.Aiding`.
 
     Of an input: number, equal to `kind` for the unnamed one; state: name of its first optional state, '' without; arm:
     lever arm (3,) from the IMU, body axes, m, of a named one.
     """
 
+    observe: Callable
     kind: int
     name: str
     samples: type

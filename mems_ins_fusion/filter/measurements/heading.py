@@ -20,7 +20,7 @@ from .time_offset import add_time_offset
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, c, sample):
+def observe(mem, r, at, h, n, c, sample):
     """Yaw of the vehicle; the innovation is wrapped to (-pi, pi]. One component."""
     yaw, offset = int(mem[Head.MOUNTING_YAW]), int(mem[at + Event.STATE])
     # yaw of the vehicle's axes in b, and error of the measured heading; `update` subtracts H times these estimates
@@ -44,6 +44,7 @@ LARGEST_YAW = 100.0  # rad: a larger yaw is not an angle in radians, even if it 
 
 
 class Heading(Measurement):
+    observe = staticmethod(observe)
     kind, name, samples, unit, default_sigma = Kind.HEADING, 'heading', Headings, 'rad', 0.05
     topic_text = ('Topic of the heading of base_link (two antennas or a compass): yaw of sensor_msgs/Imu.orientation '
                   'or geometry_msgs/PoseWithCovarianceStamped, counter-clockwise from east')

@@ -126,6 +126,7 @@ class FieldSettings(SensorSettings):
 
 
 class Magnetometer(Measurement):
+    observe = staticmethod(observe)
     kind, name, samples, unit, default_sigma = Kind.MAGNETIC, 'magnetometer', MagneticFields, 'T', 1e-6
     topic_text = 'Topic of the magnetic field, T: sensor_msgs/MagneticField, for robots too slow to show a course'
     components = 2

@@ -69,7 +69,7 @@ def observe(mem, r, at, h, n, c):
 
 
 @njit(_nrt=False)
-def observe_place(mem, r, at, h, n, c):
+def observe_place(mem, r, at, h, n, c, sample):
     """A fix of a further receiver. Returns the number of components.
 
     The states for coloured noise, smoothing and clock belong to the main receiver. Two optional states are the error of

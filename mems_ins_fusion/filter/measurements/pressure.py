@@ -47,7 +47,7 @@ def _add_second_order(mem, r, at, share, state):
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h):
+def observe(mem, r, at, h, n, c, sample):
     """Height, positive up; one component."""
     north, east, share = mem[r + Nav.V_N], mem[r + Nav.V_E], mem[at + Event.VALUE + 1]
     flow = 0.5 * (north * north + east * east) / STANDARD_GRAVITY
@@ -94,6 +94,7 @@ def metres_per_pascal(pressure: np.ndarray) -> np.ndarray:
 
 
 class Pressure(Measurement):
+    observe = staticmethod(observe)
     kind, name, samples, unit, default_sigma = Kind.PRESSURE, 'pressure', Pressures, 'Pa', 12.0
     topic_text = 'Topic of the pressure of the air, Pa: sensor_msgs/FluidPressure (strapdown)'
     messages = {'sensor_msgs/msg/FluidPressure': ('fluid_pressure', 'variance')}

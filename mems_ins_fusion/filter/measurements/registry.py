@@ -2,11 +2,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+
+from mems_ins_fusion.compiled import njit
 
 from ...parameters.parameter import Parameter, ParameterError
-from ..memory import Kind
-from . import wheel_vibration
+from ..memory import Event, Kind
+from . import position, wheel_vibration
 from .base import FIRST_NAMED, Measurement
 from .heading import Heading
 from .inertial import Inertial
@@ -34,6 +36,30 @@ INPUTS = Parameter('inputs', [], 'text', 'Names of further inputs, any number, e
                    'NAME.lever_arm where it is measured. The parameters without a NAME describe one more input of each '
                    'type.')
 _NAME = re.compile(r'[a-z][a-z0-9_]*')  # the name of an input
+
+
+def by_kind(observing: tuple[tuple[int, Callable], ...]) -> Callable:
+    """Compiled `observe` for the events of several kinds.
+
+    observing: kind of event and `observe` of each; the last one observes all kinds that are not named before it.
+    Compiled code cannot look a function up, so this is a chain of functions of two branches. The compiler inlines them.
+    """
+    (kind, observe_kind), *others = observing
+    if not others:
+        return observe_kind
+    observe_other = by_kind(tuple(others))
+
+    @njit(_nrt=False)
+    def observe_one(mem, r, at, h, n, c, sample):
+        if mem[at + Event.KIND] == kind:
+            return observe_kind(mem, r, at, h, n, c, sample)
+        return observe_other(mem, r, at, h, n, c, sample)
+
+    return observe_one
+
+
+#: compiled `observe` for the events of all inputs but the main receiver's fixes
+observe = by_kind((*((one.kind, one.observe) for one in AIDING), (Kind.PLACE, position.observe_place)))
 
 
 def named_parameters(values: Mapping, taken: Mapping) -> dict[str, Parameter]:

@@ -18,7 +18,7 @@ from .time_offset import acceleration, add_time_offset
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, c, sample):
+def observe(mem, r, at, h, n, c, sample):
     """Speed, positive forward; one component. measured = (1 + scale) true."""
     _, y, z = arm_of(mem, at)
     _, w_y, w_z = angular_rate(mem, r, sample)
@@ -42,6 +42,7 @@ def observe(mem, r, at, h, c, sample):
 
 
 class Speed(Measurement):
+    observe = staticmethod(observe)
     kind, name, samples, unit, default_sigma = Kind.SPEED, 'speed', Speeds, 'm/s', 0.1
     topic_text = ('Topic of the speed at the rear axle, m/s, forward positive: '
                   'geometry_msgs/TwistWithCovarianceStamped or nav_msgs/Odometry, twist.linear.x')

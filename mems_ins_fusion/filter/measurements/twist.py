@@ -85,6 +85,7 @@ def turned(twists, yaw: float):
 
 
 class Twist(Measurement):
+    observe = staticmethod(observe)
     kind, name, samples, unit, default_sigma = Kind.TWIST, 'twist', Twists, 'm/s', 0.1
     topic_text = ('Topic of the odometry of wheels, a lidar or a camera, base_link: twist of nav_msgs/Odometry or '
                   'geometry_msgs/TwistWithCovarianceStamped; the source must not use the fixes')

@@ -36,6 +36,7 @@ def observe(mem, r, at, h, n, c, sample):
 
 
 class Velocity(Measurement):
+    observe = staticmethod(observe)
     kind, name, samples, unit, default_sigma = Kind.VELOCITY, 'velocity', Velocities, 'm/s', 0.2
     topic_text = ("Topic of the antenna's velocity, m/s east-north-up: geometry_msgs/TwistWithCovarianceStamped, "
                   'twist.linear')

@@ -157,7 +157,7 @@ def _accelerate(mem, r, sample):
 def _take_speed(mem, r, sample, interval):
     """Correct the covariance of the state at r with the wheel speeds of a step, innovation zero."""
     (n, h), at = begin_update(mem, r), int(mem[Head.EVENTS_AT])
-    dimensions = speed.observe(mem, r, at, h, body_to_level(mem, r), sample)
+    dimensions = speed.observe(mem, r, at, h, n, body_to_level(mem, r), sample)
     mem[at + Event.Z_N] = 0.0
     for i in range(n):
         mem[at + Event.Z_N] += mem[h + i] * mem[r + NAV + i]

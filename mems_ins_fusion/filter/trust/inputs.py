@@ -15,7 +15,7 @@ from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity,
 from ..update import ROBUST, product, project
 from . import clock_jump, contradiction, displacement, hypotheses, receiver, repeats
 from .clock_jump import LARGEST_ERROR
-from .scale import Scale, Seen, learn_changes, reopen, scale, seen_of
+from .scale import PRIOR, Scale, Seen, learn_changes, reopen, scale, seen_of
 from .standstill import SLOWEST_SPEED
 
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
@@ -42,7 +42,8 @@ FIELD_CORRELATION = 10.0
 #: for longer may be right, and the state wrong
 LONGEST_SLIP = 5.0
 #: s for which a speed has not to fit until it is no part of the displacement between fixes, and has to fit before it
-#: is used: a single one is no displacement, and displacements that begin anew all the time show no factor
+#: is used: a single one is no displacement, and displacements that begin anew all the time show no factor. Also the
+#: time constant of the innovations that its change is compared with
 SHORTEST_SLIP = 0.25
 #: multiple of the claimed variance that counts as noise where GATE is judged, however large it has been seen to be:
 #: three times the sigma, as the prior of a scale has it. More is slip or another fault, and makes none fit
@@ -51,6 +52,12 @@ LARGEST_NOISE_FACTOR = 9.0
 LEAST_NOISE = 0.2
 #: rad, the same of a heading
 LEAST_HEADING_NOISE = 0.05
+#: largest variance of the logarithm of an input's scale with which a change is judged by its noise: a factor of 1.3 in
+#: sigma at one standard deviation. Wheels that claim millimetres are not slipping, but not known yet. Chosen
+LARGEST_LOG_VARIANCE = 0.25
+#: sigmas of the change of a speed that fits again after a slip, above which its constant error may be another one: of a
+#: slip that is over it is less (95 %); one that does not end fits as the state becomes uncertain, just below ROBUST
+OTHER = 2.0
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
 LONGEST_JUMP = 60.0
@@ -90,12 +97,16 @@ def factor_and_limits(mem, r, at, n, dimensions):
     unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
     noise = _noise(kind, claimed, before * claimed + unknown)
     squared, variance = _innovation(mem, r, at, n, dimensions)
-    if kind == Kind.SPEED and _alternates(mem, r, at, n, own, squared, variance + noise):
-        noise = max(noise, squared - variance)
-    slips = has_displacement(kind) and _slips(mem, own, kind, time, since, squared, variance + noise)
+    change, expected = _change(mem, r, at, n, own, noise, variance, since)
+    if kind == Kind.SPEED and _is_far_off(kind, squared, variance + noise, change, expected) and _alternates(
+            mem, r, at, n, own):
+        noise = max(noise, squared - variance, change)
+        expected = max(expected, noise)
+    slips = has_displacement(kind) and _slips(mem, own, kind, time, since, squared, variance + noise, change, expected)
     if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance,
                                            _constant_error(mem, at)):
         squared, variance = _innovation(mem, r, at, n, dimensions)
+        change, expected = _change(mem, r, at, n, own, noise, variance, since)
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < LONGEST_WITHOUT_FIX
     if kind == Kind.PLACE:
         expected = variance + min(before, LARGEST_NOISE_FACTOR) * claimed
@@ -110,7 +121,8 @@ def factor_and_limits(mem, r, at, n, dimensions):
     factor = max(scale(mem, own), 1.0) + unknown / claimed
     if has_displacement(kind):
         fitted = _has_fitted(mem, own, kind, time)
-        refused = _refuses(mem, at, n, own, time, since, squared, variance + noise, slips, confirmed)
+        refused = _refuses(mem, r, at, n, own, time, since, squared, variance, noise, change, expected, slips,
+                           confirmed)
         if refused or confirmed or fitted:  # one by one each is judged by what it claims itself
             gate = GATE * math.sqrt((variance + noise) / (variance + factor * claimed))
             return factor, density, REFUSE_ALL if refused else gate
@@ -151,23 +163,50 @@ def _noise(kind, claimed, seen):
 
 
 @njit(_nrt=False)
-def _alternates(mem, r, at, n, own, squared, expected):
-    """Whether a speed is far off that was far off on the other side within LONGEST_SLIP: wheels that slip are too fast
-    or too slow for a while, so this is noise, however large, from which its scale is learned."""
-    if not _is_far_off(Kind.SPEED, squared, expected):
-        return False
-    above = mem[at + Event.Z_N] > product(mem, n, int(mem[Head.SCRATCH_AT]) + n * n, r + NAV)
-    side, other = (Seen.ABOVE, Seen.BELOW) if above else (Seen.BELOW, Seen.ABOVE)
+def _change(mem, r, at, n, own, noise, variance, since):
+    """Square of the change of the innovation since the input fitted, and its variance; of a speed or the forward
+    velocity of an odometry.
+
+    The error of the state was in the innovations before, too, so only what its variance has changed by is expected: a
+    wheel that begins to slip is found though the state is less certain than the wheel. noise: variance of the input.
+    """
+    gain, kind = max(0.0, min(since / SHORTEST_SLIP, 1.0)), mem[at + Event.KIND]
+    is_judged = (kind == Kind.SPEED or kind == Kind.TWIST) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
+    change = _first(mem, r, at, n) - mem[own + Seen.LEVEL] if is_judged else 0.0
+    return change**2, noise * 2.0 / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
+
+
+@njit(_nrt=False)
+def _first(mem, r, at, n):
+    """First component of the innovation of the event at `at`."""
+    return mem[at + Event.Z_N] - product(mem, n, int(mem[Head.SCRATCH_AT]) + n * n, r + NAV)
+
+
+@njit(_nrt=False)
+def _note_fitted(mem, r, at, n, own, variance, since, anew):
+    """Note that the input fits: time, level of its innovation and variance of the state. anew: it has not for long."""
+    gain = 1.0 if anew else max(0.0, min(since / SHORTEST_SLIP, 1.0))
+    mem[own + Seen.FITTED] = mem[at + Event.TIME]
+    mem[own + Seen.LEVEL] += gain * (_first(mem, r, at, n) - mem[own + Seen.LEVEL])
+    mem[own + Seen.LEVEL_VARIANCE] += gain * (variance - mem[own + Seen.LEVEL_VARIANCE])
+
+
+@njit(_nrt=False)
+def _alternates(mem, r, at, n, own):
+    """Whether a speed that is far off was so on the other side within LONGEST_SLIP: wheels that slip are too fast or
+    too slow for a while, so this is noise, however large, from which its scale is learned."""
+    side, other = (Seen.ABOVE, Seen.BELOW) if _first(mem, r, at, n) > 0.0 else (Seen.BELOW, Seen.ABOVE)
     time = mem[at + Event.TIME]
     mem[own + side] = time
     return mem[own + other] > 0.0 and time - mem[own + other] < LONGEST_SLIP
 
 
 @njit(_nrt=False)
-def _is_far_off(kind, squared, expected):
-    """Whether an innovation squared is more than noise. expected: its variance."""
+def _is_far_off(kind, squared, expected, change, change_expected):
+    """Whether an innovation squared, or its change squared, is more than noise. expected, change_expected: variances.
+    """
     far = NARROW_GATE if kind == Kind.MAGNETIC else SLIPPED
-    return squared > far**2 * expected
+    return squared > far**2 * expected or change > far**2 * change_expected
 
 
 @njit(_nrt=False)
@@ -186,26 +225,36 @@ def _goes_on_slipping(mem, own, kind, time, since):
 
 
 @njit(_nrt=False)
-def _slips(mem, own, kind, time, since, squared, expected):
+def _slips(mem, own, kind, time, since, squared, expected, change, change_expected):
     """Whether wheels slip, or the same of a velocity or a heading: it has fitted a moment ago, and is far off.
 
     One that goes on slipping has to fit before it is used: the state without it becomes less certain. squared,
-    expected: mean square of the innovation and its variance. since: s from the one before.
+    expected: mean square of the innovation and its variance. change, change_expected: as `_change`. since: s from the
+    one before.
     """
     return _has_fitted(mem, own, kind, time) and (
-        _is_far_off(kind, squared, expected)
-        or _goes_on_slipping(mem, own, kind, time, since) and squared > ROBUST**2 * expected)
+        _is_far_off(kind, squared, expected, change, change_expected)
+        or _goes_on_slipping(mem, own, kind, time, since)
+        and (squared > ROBUST**2 * expected or change > ROBUST**2 * change_expected))
 
 
 @njit(_nrt=False)
-def _refuses(mem, at, n, own, time, since, squared, expected, slips, confirmed):
+def _refuses(mem, r, at, n, own, time, since, squared, variance, noise, change, change_expected, slips, confirmed):
     """Whether a speed, velocity, odometry or heading is refused: it slips, or is far off for longer than a slip lasts
     while fixes confirm the state, by more than its constant error can be. Notes that it has fitted, and ends its
     displacement where it slips."""
-    kind, error = int(mem[at + Event.KIND]), _constant_error(mem, at)
-    lasts, far_off = _goes_on_slipping(mem, own, kind, time, since), _is_far_off(kind, squared, expected)
-    if squared < ROBUST * ROBUST * expected:
-        mem[own + Seen.FITTED] = time
+    kind, error, expected = int(mem[at + Event.KIND]), _constant_error(mem, at), variance + noise
+    lasts = _goes_on_slipping(mem, own, kind, time, since)
+    far_off = _is_far_off(kind, squared, expected, change, change_expected)
+    fitted = mem[own + Seen.FITTED]
+    anew = not _has_fitted(mem, own, kind, time)
+    if squared < ROBUST**2 * expected and (anew or not slips and (
+            time - fitted < 1.5 * since or change < ROBUST**2 * change_expected)):
+        is_other = change > OTHER**2 * change_expected
+        if confirmed and is_other and fitted > 0.0 and (lasts or anew and since < displacement.LONGEST_PAUSE):
+            _raise_error(mem, at, n, own, change)
+        _note_fitted(mem, r, at, n, own, variance, since, anew)
+        return False
     if confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0:  # no slip lasts for so long
         if error >= 0 and squared < (LARGEST_ERROR * mem[int(mem[Head.SCRATCH_AT]) + n * n + error]) ** 2:
             _make_error_uncertain(mem, at, n, own)
@@ -216,6 +265,16 @@ def _refuses(mem, at, n, own, time, since, squared, expected, slips, confirmed):
     if lasts and far_off and kind != Kind.VELOCITY:
         displacement.interrupt(mem, own)
     return slips
+
+
+@njit(_nrt=False)
+def _raise_error(mem, at, n, own, change):
+    """The slip of the input at `at` is over, or its constant error has become another one while it did not fit: the
+    variance of that error is raised by what would explain the change of the innovation squared."""
+    error, p = _constant_error(mem, at), int(mem[Head.SCRATCH_AT])
+    h = mem[p + n * n + error] if error >= 0 else 0.0
+    if h != 0.0:
+        mem[p + (n + 1) * error] += min(change / h**2, LARGEST_ERROR**2)
 
 
 @njit(_nrt=False)

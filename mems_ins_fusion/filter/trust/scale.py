@@ -90,7 +90,9 @@ class _Seen(NamedTuple):
     # inputs.py
     ABOVE: int = 47  # s, time of its latest value far above the expected one,
     BELOW: int = 48  # s, and of the latest one far below it
-    SIZE: int = 49
+    LEVEL: int = 49  # m/s or rad, low-passed innovation of the values that fitted,
+    LEVEL_VARIANCE: int = 50  # and the low-passed part of their variance that is the state's
+    SIZE: int = 51
 
 
 Seen = _Seen()
