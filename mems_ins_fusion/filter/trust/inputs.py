@@ -246,10 +246,10 @@ def _refuses(mem, r, at, n, own, time, since, squared, variance, noise, change, 
     kind, error, expected = int(mem[at + Event.KIND]), _constant_error(mem, at), variance + noise
     lasts = _goes_on_slipping(mem, own, kind, time, since)
     far_off = _is_far_off(kind, squared, expected, change, change_expected)
-    fitted = mem[own + Seen.FITTED]
-    anew = not _has_fitted(mem, own, kind, time)
+    fitted, anew = mem[own + Seen.FITTED], not _has_fitted(mem, own, kind, time)
+    latest_fitted = time - fitted < 1.5 * since  # since: of the message before this one
     if squared < ROBUST**2 * expected and (anew or not slips and (
-            time - fitted < 1.5 * since or change < ROBUST**2 * change_expected)):
+            latest_fitted or change < ROBUST**2 * change_expected)):
         is_other = change > OTHER**2 * change_expected
         if confirmed and is_other and fitted > 0.0 and (lasts or anew and since < displacement.LONGEST_PAUSE):
             _raise_error(mem, at, n, own, change)
