@@ -44,6 +44,7 @@ from .trust import imu_faults
 from .trust.extrapolation import Wrong
 from .trust.imu_faults import Fault, Imu
 from .trust.standstill import certain_speed, is_still, velocity_sigma
+from .trust.usual_speed import SHORTEST_OUTAGE
 from .trust.white_noise import show_noise
 
 #: answers of `take_event`: the measurement is in the memory; it is older than the first state; it is older than
@@ -154,7 +155,8 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
-        still = is_still(memory, sample, dt, speed, sigma, bridged)
+        without_fixes = memory[before + Nav.TIME] - memory[before + Nav.FIX_TIME] > SHORTEST_OUTAGE
+        still = is_still(memory, sample, dt, speed, sigma, bridged, without_fixes)
         if still and not imu_faults.is_stuck(memory, dt):  # a stuck accelerometer looks still in motion, too
             memory[sample + Sample.STILL] = memory[nonnegative(sample_at(memory, k - 1)) + Sample.STILL] + dt
     _refuse_ahead(memory, time)

@@ -208,12 +208,13 @@ def shown_speed(mem, r, at, variance):
 
 
 @njit(_nrt=False)
-def is_still(mem, sample, dt, speed, sigma, anew):
+def is_still(mem, sample, dt, speed, sigma, anew, without_fixes):
     """1 if the vehicle is as quiet as at rest at the sample at `sample`, dt s after the previous one, else 0. Updates
     `Still`.
 
     speed: certain speed (`certain_speed`), m/s. sigma: of the velocity, m/s. anew: whether samples are missing before
-    this one, so that a change of the specific force means nothing.
+    this one, so that a change of the specific force means nothing. without_fixes: whether there have been no fixes for
+    some seconds.
     """
     low, slow, square = min(1.0, dt / LOW_PASS), min(1.0, dt / REMOVED_MEAN_TIME), 0.0
     first = mem[Still.MOTION] == 0.0
@@ -245,7 +246,8 @@ def is_still(mem, sample, dt, speed, sigma, anew):
         rest += min(1.0, dt / REST_TIME) * (level - rest)
     mem[Still.MOTION], mem[Still.REST] = motion, rest
     threshold = min(max(0.5 * (motion + rest), rest + separation), motion - separation)
-    return 1.0 if level < threshold else 0.0
+    # with fixes the estimated speed is right, and so high a speed is that of a smooth road
+    return 1.0 if level < threshold and (speed <= MOVING_SPEED or without_fixes) else 0.0
 
 
 @njit(_nrt=False)

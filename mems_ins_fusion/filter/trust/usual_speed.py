@@ -22,7 +22,8 @@ ASSUMED_VARIANCE = 5.0**2
 #: s, correlation time of the velocity: in this time a vehicle turns, stops or speeds up. One velocity in this time is
 #: learned from, and one zero velocity in this time is applied. Chosen, not measured
 CORRELATION = 20.0
-#: s without a fix after which it is applied: longer than the interval of slow receivers
+#: s without a fix after which it is applied, and a standstill at any estimated speed believed: longer than the interval
+#: of slow receivers
 SHORTEST_OUTAGE = 5.0
 
 
