@@ -65,8 +65,7 @@ def lines(results: dict, drives: int):
                 continue
             error, sigma = (np.percentile(part[:, i], [50, 95]) for i in range(2))
             yield (f'| {duration:g} s | {name} | {kind} | {len(part)} | {error[0]:.1f} / {error[1]:.0f} | '
-                   f'{part[:, 0].max():.0f} | '
-                   f'{sigma[0]:.1f} / {sigma[1]:.0f} | {100 * part[:, 2].mean():.0f} % |')
+                   f'{part[:, 0].max():.0f} | {sigma[0]:.1f} / {sigma[1]:.0f} | {100 * part[:, 2].mean():.0f} % |')
 
 
 if __name__ == '__main__':

@@ -44,7 +44,7 @@ from .trust import imu_faults
 from .trust.extrapolation import Wrong
 from .trust.imu_faults import Fault, Imu
 from .trust.standstill import certain_speed, is_still, velocity_sigma
-from .trust.usual_speed import SHORTEST_OUTAGE
+from .trust.usual_speed import is_without_fixes
 from .trust.white_noise import show_noise
 
 #: answers of `take_event`: the measurement is in the memory; it is older than the first state; it is older than
@@ -155,8 +155,7 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
-        without_fixes = memory[before + Nav.TIME] - memory[before + Nav.FIX_TIME] > SHORTEST_OUTAGE
-        still = is_still(memory, sample, dt, speed, sigma, bridged, without_fixes)
+        still = is_still(memory, sample, dt, speed, sigma, bridged, is_without_fixes(memory, before))
         if still and not imu_faults.is_stuck(memory, dt):  # a stuck accelerometer looks still in motion, too
             memory[sample + Sample.STILL] = memory[nonnegative(sample_at(memory, k - 1)) + Sample.STILL] + dt
     _refuse_ahead(memory, time)

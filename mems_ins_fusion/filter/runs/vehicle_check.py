@@ -36,7 +36,8 @@ LONGEST_SHAKEN = 60.0
 #: number of refused fixes in a row that show a boat if they move on while the IMU shows a standstill. The fixes of a
 #: receiver that jumps do not move on
 ADRIFT = 10
-LOW_SPEED = 0.3  # m/s: the filter takes the vehicle for one at rest while its speed is below this
+#: m/s of the filter below which it shows the vehicle at rest while these are refused. Chosen, not measured
+LOW_SPEED = 0.3
 FARTHEST_ADRIFT = 10.0  # m by which these fixes have to move: fixes of a parked vehicle wander by less
 
 

@@ -57,7 +57,7 @@ LEAST_HEADING_NOISE = 0.05
 LARGEST_LOG_VARIANCE = 0.25
 #: sigmas of the change of a speed that fits again after a slip, above which its constant error may be another one: of a
 #: slip that is over it is less (95 %); one that does not end fits as the state becomes uncertain, just below ROBUST
-OTHER = 2.0
+OTHER_SIGMAS = 2.0
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
 LONGEST_JUMP = 60.0
@@ -98,15 +98,16 @@ def factor_and_limits(mem, r, at, n, dimensions):
     noise = _noise(kind, claimed, before * claimed + unknown)
     squared, variance = _innovation(mem, r, at, n, dimensions)
     change, expected = _change(mem, r, at, n, own, noise, variance, since)
-    if kind == Kind.SPEED and _is_far_off(kind, squared, variance + noise, change, expected) and _alternates(
-            mem, r, at, n, own):
+    nis, change_nis = squared / (variance + noise), change / expected
+    if kind == Kind.SPEED and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own):
         noise = max(noise, squared - variance, change)
-        expected = max(expected, noise)
-    slips = has_displacement(kind) and _slips(mem, own, kind, time, since, squared, variance + noise, change, expected)
+        nis, change_nis = squared / (variance + noise), change / max(expected, noise)
+    slips = has_displacement(kind) and _slips(mem, own, kind, time, since, max(nis, change_nis))
     if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance,
                                            _constant_error(mem, at)):
         squared, variance = _innovation(mem, r, at, n, dimensions)
         change, expected = _change(mem, r, at, n, own, noise, variance, since)
+        nis, change_nis = squared / (variance + noise), change / expected
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < LONGEST_WITHOUT_FIX
     if kind == Kind.PLACE:
         expected = variance + min(before, LARGEST_NOISE_FACTOR) * claimed
@@ -121,7 +122,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
     factor = max(scale(mem, own), 1.0) + unknown / claimed
     if has_displacement(kind):
         fitted = _has_fitted(mem, own, kind, time)
-        refused = _refuses(mem, r, at, n, own, time, since, squared, variance, noise, change, expected, slips,
+        refused = _refuses(mem, r, at, n, own, time, since, squared, variance, nis, change, change_nis, slips,
                            confirmed)
         if refused or confirmed or fitted:  # one by one each is judged by what it claims itself
             gate = GATE * math.sqrt((variance + noise) / (variance + factor * claimed))
@@ -170,10 +171,16 @@ def _change(mem, r, at, n, own, noise, variance, since):
     The error of the state was in the innovations before, too, so only what its variance has changed by is expected: a
     wheel that begins to slip is found though the state is less certain than the wheel. noise: variance of the input.
     """
-    gain, kind = max(0.0, min(since / SHORTEST_SLIP, 1.0)), mem[at + Event.KIND]
+    gain, kind = _gain(since), mem[at + Event.KIND]
     is_judged = (kind == Kind.SPEED or kind == Kind.TWIST) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
     change = _first(mem, r, at, n) - mem[own + Seen.LEVEL] if is_judged else 0.0
     return change**2, noise * 2.0 / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
+
+
+@njit(_nrt=False)
+def _gain(since):
+    """Gain of the low pass of the innovations that fitted. since: s since the message before."""
+    return max(0.0, min(since / SHORTEST_SLIP, 1.0))
 
 
 @njit(_nrt=False)
@@ -185,7 +192,7 @@ def _first(mem, r, at, n):
 @njit(_nrt=False)
 def _note_fitted(mem, r, at, n, own, variance, since, anew):
     """Note that the input fits: time, level of its innovation and variance of the state. anew: it has not for long."""
-    gain = 1.0 if anew else max(0.0, min(since / SHORTEST_SLIP, 1.0))
+    gain = 1.0 if anew else _gain(since)
     mem[own + Seen.FITTED] = mem[at + Event.TIME]
     mem[own + Seen.LEVEL] += gain * (_first(mem, r, at, n) - mem[own + Seen.LEVEL])
     mem[own + Seen.LEVEL_VARIANCE] += gain * (variance - mem[own + Seen.LEVEL_VARIANCE])
@@ -202,11 +209,10 @@ def _alternates(mem, r, at, n, own):
 
 
 @njit(_nrt=False)
-def _is_far_off(kind, squared, expected, change, change_expected):
-    """Whether an innovation squared, or its change squared, is more than noise. expected, change_expected: variances.
-    """
+def _is_far_off(kind, nis):
+    """Whether an innovation, or its change, is more than noise. nis: its square over its variance."""
     far = NARROW_GATE if kind == Kind.MAGNETIC else SLIPPED
-    return squared > far**2 * expected or change > far**2 * change_expected
+    return nis > far**2
 
 
 @njit(_nrt=False)
@@ -225,32 +231,31 @@ def _goes_on_slipping(mem, own, kind, time, since):
 
 
 @njit(_nrt=False)
-def _slips(mem, own, kind, time, since, squared, expected, change, change_expected):
+def _slips(mem, own, kind, time, since, nis):
     """Whether wheels slip, or the same of a velocity or a heading: it has fitted a moment ago, and is far off.
 
-    One that goes on slipping has to fit before it is used: the state without it becomes less certain. squared,
-    expected: mean square of the innovation and its variance. change, change_expected: as `_change`. since: s from the
-    one before.
+    One that goes on slipping has to fit before it is used: the state without it becomes less certain. nis: the larger
+    one of the innovation's square over its variance, and that of its change. since: s since the message before.
     """
     return _has_fitted(mem, own, kind, time) and (
-        _is_far_off(kind, squared, expected, change, change_expected)
-        or _goes_on_slipping(mem, own, kind, time, since)
-        and (squared > ROBUST**2 * expected or change > ROBUST**2 * change_expected))
+        _is_far_off(kind, nis) or _goes_on_slipping(mem, own, kind, time, since) and nis > ROBUST**2)
 
 
 @njit(_nrt=False)
-def _refuses(mem, r, at, n, own, time, since, squared, variance, noise, change, change_expected, slips, confirmed):
+def _refuses(mem, r, at, n, own, time, since, squared, variance, nis, change, change_nis, slips, confirmed):
     """Whether a speed, velocity, odometry or heading is refused: it slips, or is far off for longer than a slip lasts
     while fixes confirm the state, by more than its constant error can be. Notes that it has fitted, and ends its
-    displacement where it slips."""
-    kind, error, expected = int(mem[at + Event.KIND]), _constant_error(mem, at), variance + noise
-    lasts = _goes_on_slipping(mem, own, kind, time, since)
-    far_off = _is_far_off(kind, squared, expected, change, change_expected)
+    displacement where it slips.
+
+    squared, change: of the innovation and of its change, squared. nis, change_nis: over their variances. variance: of
+    the state in the innovation.
+    """
+    kind, error = int(mem[at + Event.KIND]), _constant_error(mem, at)
+    lasts, far_off = _goes_on_slipping(mem, own, kind, time, since), _is_far_off(kind, max(nis, change_nis))
     fitted, anew = mem[own + Seen.FITTED], not _has_fitted(mem, own, kind, time)
-    latest_fitted = time - fitted < 1.5 * since  # since: of the message before this one
-    if squared < ROBUST**2 * expected and (anew or not slips and (
-            latest_fitted or change < ROBUST**2 * change_expected)):
-        is_other = change > OTHER**2 * change_expected
+    latest_fitted = time - fitted < 1.5 * since  # the message before this one, and not only an earlier one
+    if nis < ROBUST**2 and (anew or not slips and (latest_fitted or change_nis < ROBUST**2)):
+        is_other = change_nis > OTHER_SIGMAS**2
         if confirmed and is_other and fitted > 0.0 and (lasts or anew and since < displacement.LONGEST_PAUSE):
             _raise_error(mem, at, n, own, change)
         _note_fitted(mem, r, at, n, own, variance, since, anew)

@@ -93,8 +93,10 @@ REST_TIME = 5.0
 #: how many times a vehicle stands for each time it creeps at a constant speed, as quiet as at rest: 321 to 15 times in
 #: 34 simulated drives of 12 min (`vehicle.simulated`), 30 to 2 times in Kingston
 STOPS_PER_CREEP = 20.0
-#: m/s, mean speed of such a creep and its standard deviation: 0.55 to 1.05 in these drives, 0.25 to 0.7 in Kingston
-CREEP_SPEED, CREEP_SCATTER = 0.7, 0.3
+#: m/s, mean speed of such a creep: 0.55 to 1.05 in these drives, 0.25 to 0.7 in Kingston
+CREEP_SPEED = 0.7
+#: m/s, its standard deviation, by the same numbers
+CREEP_SCATTER = 0.3
 #: the same for each time it is as quiet at a higher speed: in docs/standstill.md never in 13 300 s of motion beside
 #: 2700 s at rest; half a second of it is the estimate with the prior of Jeffreys
 STOPS_PER_SMOOTH_ROAD = 5000.0
@@ -170,10 +172,14 @@ def rather_stands(speed, variance, quiet):
     is even. Of the latter two, the share 1 / (1 + t / CREEP_TIME) is quiet for longer than t.
     """
     standing, creeping = variance + STOP_SCATTER**2, variance + CREEP_SCATTER**2
-    at_rest = math.exp(-0.5 * speed * speed / standing) / math.sqrt(2.0 * math.pi * standing)
-    in_creep = math.exp(-0.5 * (speed - CREEP_SPEED) ** 2 / creeping) / math.sqrt(2.0 * math.pi * creeping)
-    in_motion = in_creep / STOPS_PER_CREEP + SPEED_DENSITY / STOPS_PER_SMOOTH_ROAD
-    return at_rest > SURE_ODDS * in_motion / (1.0 + quiet / CREEP_TIME)
+    in_motion = _density(speed - CREEP_SPEED, creeping) / STOPS_PER_CREEP + SPEED_DENSITY / STOPS_PER_SMOOTH_ROAD
+    return _density(speed, standing) > SURE_ODDS * in_motion / (1.0 + quiet / CREEP_TIME)
+
+
+@njit(_nrt=False)
+def _density(deviation, variance):
+    """Density of a normal distribution."""
+    return math.exp(-0.5 * deviation * deviation / variance) / math.sqrt(2.0 * math.pi * variance)
 
 
 @njit(_nrt=False)

@@ -37,13 +37,19 @@ def learn_speed(mem, r, time):
 
 
 @njit(_nrt=False)
+def is_without_fixes(mem, r):
+    """Whether there has been no fix for SHORTEST_OUTAGE before the state at r."""
+    return mem[r + Nav.TIME] - mem[r + Nav.FIX_TIME] > SHORTEST_OUTAGE
+
+
+@njit(_nrt=False)
 def bounds(mem, r):
     """Whether the usual speed is applied to the state at r: there are no fixes, and its velocity is less certain.
 
     A velocity that is known better would become smaller all the time without becoming more accurate.
     """
     return (mem[r + UsualSpeed.SCALE + Scale.TIME] != 0.0
-            and mem[r + Nav.TIME] - mem[r + Nav.FIX_TIME] > SHORTEST_OUTAGE
+            and is_without_fixes(mem, r)
             and 0.5 * velocity_variance(mem, r) > _usual(mem, r))
 
 
