@@ -135,7 +135,7 @@ NEVER = {
     'the least drift of the accelerometers': {'trust.drift.SMALLEST_DRIFT_RATIO': 0.0},
     'the largest reduction that tells a drift': {'trust.drift.LARGEST_REDUCTION': 1e9},
     # standstills and motion
-    'standstill denied by fixes': {'trust.standstill.SHORTEST_DISTANCE': 1e9},
+    'creeps that fixes show': {'trust.creep.LONGEST_CREEP': -1.0},
     'standstill denied by wheels': {'trust.standstill.SLOWEST_SPEED': 1e9, 'trust.standstill.SLOWEST_TURN': 1e9},
     'motion of slow robots that is learned from': {'trust.standstill.CREEPING_TIME': 1e9},
     'usual speed': {'trust.usual_speed.SHORTEST_OUTAGE': 1e9},

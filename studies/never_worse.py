@@ -10,7 +10,8 @@ filter is worth its name where the first ratio is at most 1.1 and the second at 
 
 The drives: REALISTIC ones with the receivers of studies/vehicle.py, a motorway with a phone on the dash (an IMU of
 10 Hz without anti-aliasing filter that the vehicle shakes, 36 m/s, fixes of 4 m, smoothed and stamped a second late),
-accelerometers that are off by much more than configured, for seconds or a minute,
+dense traffic, in which the car creeps and stops, accelerometers that are off by much more than configured, for seconds
+or a minute,
 and the measured drives whose truth is better than 1.5 m, with noise of 1.5 m on their fixes. --faults: each fault of
 studies/faults.py on a REALISTIC drive, from its begin to 60 s after its end, with fixes only: an outage within a fault
 tells nothing.
@@ -36,6 +37,7 @@ from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.manoeuvres import Segment
+from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_recording
 from mems_ins_fusion.simulation.vibration import Vibration
 
@@ -180,6 +182,10 @@ def lines(options, given: dict):
             if options.only in name:
                 yield Line(f'simulated, {name}, seed {seed}',
                            simulated(seed, options.minutes, replace(receiver, rate=options.rate)), exact)
+        if options.only in 'dense traffic':
+            drive = replace(REALISTIC, manoeuvres='traffic').drive(60.0 * options.minutes, seed)
+            yield Line(f'simulated, dense traffic, seed {seed}', simulated(
+                seed, options.minutes, GnssNoise(1.5, options.rate), drive), exact)
         if options.only in 'phone':
             yield Line(f'simulated, phone on a motorway, seed {seed}', phone(seed, options.minutes), exact)
         for (receiver, noise), (size, tau) in product(UNSTEADY_RECEIVERS.items(), UNSTEADY):

@@ -19,7 +19,7 @@ from mems_ins_fusion.filter.trust.standstill import (
     STOPS_PER_SMOOTH_ROAD,
     SURE_ODDS,
     is_still,
-    rather_stands,
+    odds_of_standing,
     velocity_sigma,
 )
 from mems_ins_fusion.navigation.earth import gravity, radii
@@ -72,7 +72,7 @@ def test_sums_over_positions_give_the_line_of_least_squares():
     assert variance == pytest.approx(0.5 * left / ((weight.sum() - 2.0) * spread))
 
 
-@pytest.mark.parametrize(('sigma', 'interval'), [(0.1, 1.0), (0.5, 0.2), (1.5, 1.0)])
+@pytest.mark.parametrize(('sigma', 'interval'), [(0.1, 1.0), (0.5, 0.2), (1.5, 1.0), (1.5, 5.0)])
 def test_a_robot_that_moves_as_quietly_as_it_stands_is_not_held_at_rest(sigma, interval):
     # given a robot that goes on at 0.4 m/s for three minutes as if it stood, and fixes
     truth = 0.4 * interval * np.arange(1, round(180.0 / interval) + 1)
@@ -85,17 +85,28 @@ def test_a_robot_that_moves_as_quietly_as_it_stands_is_not_held_at_rest(sigma, i
     assert np.median(velocity[time > 90.0]) == pytest.approx(0.4, abs=0.2)
 
 
+def test_a_robot_that_starts_as_quietly_as_it_stands_is_soon_found_to_move():
+    # given a robot that goes on at 0.4 m/s after two minutes at rest, without any vibration, and fixes
+    truth = 0.4 * np.clip(np.arange(1, 241) - 120.0, 0.0, None)
+    time, north, _ = through(truth + 0.5 * np.random.default_rng(8).standard_normal(240), 1.0, 0.5)
+    # then it is behind for less than a minute
+    far = np.abs(north - np.interp(time, np.arange(1, 241), truth))
+    assert far.max() < 15.0 and far[time > 180.0].max() < 1.5
+
+
 @pytest.mark.parametrize('kind', ['white', 'jump', 'wander'])
 def test_fixes_of_a_vehicle_that_stands_do_not_contradict_it(kind):
-    # given an hour at rest, and fixes that claim 0.5 m and scatter by that, jump by 3 m, too, or wander by it
+    # given an hour at rest, and fixes that claim 0.5 m and scatter by that, or jump by 3 m, too, or claim 1 m, scatter
+    # by 0.3 m and wander by 1 m
     rng = np.random.default_rng(3)
-    noise = (0.1 if kind == 'wander' else 0.5) * rng.standard_normal(3600)
+    claim, scatter = (1.0, 0.3) if kind == 'wander' else (0.5, 0.5)
+    noise = scatter * rng.standard_normal(3600)
     if kind == 'jump':
         noise += 3.0 * (np.arange(3600) // 45 % 2)
     elif kind == 'wander':
         keep = np.exp(-1.0 / 30.0)
-        noise += 0.5 * lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.standard_normal(3600))
-    time, _, velocity = through(noise, 1.0, 0.5)
+        noise += lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.standard_normal(3600))
+    time, _, velocity = through(noise, 1.0, claim)
     # then the vehicle stays at rest
     assert np.abs(velocity[time > 10.0]).max() < 0.02
 
@@ -154,10 +165,9 @@ def test_a_quiet_vehicle_stands_where_that_is_ten_times_as_likely_as_motion():
                   + SPEED_DENSITY / STOPS_PER_SMOOTH_ROAD)
         for quiet_for in (0.0, 1.0, 5.0, 60.0):
             odds = stops / (motion / (1.0 + quiet_for / CREEP_TIME))
-            found = np.array([rather_stands(speed, sigma**2, quiet_for) for speed in speeds])
-            certain = np.abs(odds / SURE_ODDS - 1.0) > 1e-9
-            assert np.array_equal(found[certain], (odds > SURE_ODDS)[certain])
-            believed.append(found.mean())
+            found = np.array([odds_of_standing(speed, sigma**2, quiet_for) for speed in speeds])
+            assert found == pytest.approx(odds, rel=1e-9)
+            believed.append(np.mean(found > SURE_ODDS))
     assert 0.05 < np.mean(believed) < 0.95
 
 

@@ -209,8 +209,8 @@ def _parser():
     add('--grade', type=float, metavar='G', help='largest grade of a random road (0.03 is 3 %%)')
     add('--bank', type=float, metavar='B', help='largest bank of a random road')
     add('--parked-on-slope', action='store_true', help='the drive begins where grade and bank are largest')
-    add('--manoeuvres', choices=('city', 'mixed', 'slow'), help='mixed: also long cruises, red lights, reversing; '
-        'slow: a robot at 0.4 m/s that turns on the spot, too')
+    add('--manoeuvres', choices=('city', 'mixed', 'traffic', 'slow'), help='mixed: also long cruises, red lights, '
+        'reversing; traffic: dense traffic that creeps and stops; slow: a robot at 0.4 m/s that turns on the spot, too')
     add('--body', action='store_true', help='pitch and roll on the suspension, and sideslip, of a car')
     add('--unevenness', type=float, metavar='DEG', help='with --body: pitch and roll from the road at 10 m/s, RMS')
     add('--vibration', type=float, metavar='A', help='vibration by the road, m/s^2 RMS at 10 m/s; by the engine, half '

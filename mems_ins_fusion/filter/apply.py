@@ -5,10 +5,11 @@ from mems_ins_fusion.compiled import njit
 
 from .measurements import position, registry, twist
 from .measurements.geometry import body_to_level, yaw_of
-from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, row_of, velocity_state
+from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, row_of
 from .prediction import set_radii
 from .trust import (
     contradiction,
+    creep,
     displacement,
     extrapolation,
     fix_drift,
@@ -23,7 +24,7 @@ from .trust.fix_drift import FixDrift
 from .trust.hypotheses import Hypothesis
 from .trust.receiver import Receiver
 from .trust.scale import seen_of
-from .trust.standstill import note_speed, shown_speed, stands
+from .trust.standstill import note_speed, stands
 from .trust.usual_speed import learn_speed
 from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
 
@@ -79,8 +80,12 @@ def _apply_fix(mem, r, at):
     if not _uses_fix(mem, r, at, n, factor):
         hypotheses.refuse_fix(mem, r, at)
         return
+    p = int(mem[Head.SCRATCH_AT])
+    known, variance = 0.5 * (mem[p] + mem[p + n + 1]), receiver.realised_variance(mem, r, at)
     if not fixes_wrong:
-        _leave_standstill(mem, r, at, n)
+        white, slow = receiver.white_and_slow(mem, r, at)
+        if creep.crept(mem, r, at, known + white, slow):
+            creep.correct(mem, r, p, n)
     if mem[r + Nav.USE_ALL_FIXES] > 0.0:
         if contradiction.inflate_to_fit(mem, r, n, _misfit(mem, r, at, n, factor)):
             robust = gate = 0.0
@@ -92,11 +97,12 @@ def _apply_fix(mem, r, at):
         if row_of(mem, Error.R_D) < 0:
             mem[r + Nav.HEIGHT] = height
         set_radii(mem, r)
+    creep.note_correction(mem, r, mem[at + Event.WEIGHT] * known / (known + variance))
     new_start.note(mem, r, at)
     repeats.note(mem, r, at)
     left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
     if verdict != Verdict.REFUSED or mem[r + Nav.REFUSED] > MOST_OUTLIERS:
-        displacement.compare(mem, r, at, receiver.realised_variance(mem, r, at))
+        displacement.compare(mem, r, at, variance)
     after = hypotheses.position_and_velocity(mem, r)
     extrapolation.note_move(mem, r, before, after)
     if recovered:  # it has moved by more than a correction
@@ -109,17 +115,6 @@ def _apply_fix(mem, r, at):
     learn_drift(mem, r)
     if verdict == Verdict.USED and not stands(mem, r):
         learn_speed(mem, r, mem[at + Event.TIME])
-
-
-@njit(_nrt=False)
-def _leave_standstill(mem, r, at, n):
-    """Where the fixes show that the vehicle did not stand, P in the scratch is raised by how far position and velocity
-    may be off."""
-    speed, distance = shown_speed(mem, r, at, receiver.realised_variance(mem, r, at))
-    p, first = int(mem[Head.SCRATCH_AT]), velocity_state(mem)
-    for i in range(2):
-        mem[p + (n + 1) * i] += distance * distance
-        mem[p + (n + 1) * (first + i)] += speed * speed
 
 
 @njit(_nrt=False)

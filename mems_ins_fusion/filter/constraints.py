@@ -25,9 +25,9 @@ from .memory import (
     yaw_state,
 )
 from .prediction import set_radii
-from .trust import contradiction, gyroscopes, hypotheses, new_start, usual_speed
+from .trust import contradiction, creep, gyroscopes, hypotheses, new_start, usual_speed
 from .trust.force_noise import force_noise
-from .trust.standstill import Standing, fixes_show_motion, moves, rather_stands, wheels_turn
+from .trust.standstill import SURE_ODDS, Standing, fixes_show_motion, moves, odds_of_standing, wheels_turn
 from .trust.white_noise import Shown, hides_turns
 from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_update, product, project, update
 
@@ -72,8 +72,9 @@ def constrain(mem, r, sample):
     mem[r + Nav.USE_ALL_FIXES] = max(mem[r + Nav.USE_ALL_FIXES] - since, 0.0)
     yaw = yaw_state(mem)
     if still:
-        speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
-        agrees = rather_stands(speed, velocity_variance(mem, r), mem[sample + Sample.STILL])
+        speed, quiet = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]), mem[sample + Sample.STILL]
+        odds = odds_of_standing(speed, velocity_variance(mem, r), quiet)
+        agrees = odds > SURE_ODDS
         # a slow motion contradicts a standstill (a smooth, straight creep), but not where a gyroscope shows a turn:
         # then the gyroscope is wrong, and has made the velocity wrong as well
         still = ((agrees or not moves(mem, r) and _turns(mem, r, sample, n, 0.0, gyroscopes.JUMP_SIGMAS))
@@ -82,6 +83,7 @@ def constrain(mem, r, sample):
             for i in range(2):
                 mem[p + (n + 1) * (velocity_state(mem) + i)] += mem[r + Nav.V_N + i] ** 2
     if still:
+        creep.note_standstill(mem, r, p, n, body_to_level(mem, r), since, quiet, odds)
         mem[r + Standing.TIME] = mem[r + Nav.TIME]
         dimensions = 3 if row_of(mem, Error.V_D) >= 0 else 2
         standstill.observe_velocity(mem, r, at, h, n, dimensions, mem[Head.ZERO_VELOCITY_SIGMA] ** 2)

@@ -40,7 +40,8 @@ def plan(duration: float, standstill: float, rng: np.random.Generator, deck) -> 
     """Segments that fill at least `duration` s, the first `standstill` s at rest.
 
     The opening after the standstill is straight, so that a filter can align; then manoeuvres, each of which starts and
-    ends in motion, come from shuffled decks: a drive of a few minutes holds all kinds. deck: CITY, MIXED or SLOW.
+    ends in motion, come from shuffled decks: a drive of a few minutes holds all kinds. deck: CITY, MIXED, TRAFFIC or
+    SLOW.
     """
     speed = elapsed = 0.0
     kinds = _shuffled(deck, rng)
@@ -105,6 +106,13 @@ def _red_light(speed, rng):
             _speed_change(0.0, rng.uniform(6, 14), rng.uniform(1.0, 2.3)), _hold(rng.uniform(1, 5))]
 
 
+def _stop_and_go(speed, rng):
+    """Drive slowly and steadily, stop, stand, move up at half the speed."""
+    slow = rng.uniform(0.8, 4.0)
+    return [_speed_change(speed, slow, 0.8), _hold(rng.uniform(3, 15)), _speed_change(slow, 0.0, 0.8),
+            _hold(rng.uniform(2, 25)), _speed_change(0.0, slow / 2, 0.6), _hold(rng.uniform(2, 8))]
+
+
 def _reverse(speed, rng):
     """Stop, reverse round a corner, drive on."""
     back, angle = rng.uniform(-2.5, -1.2), rng.choice([-1, 1]) * rng.uniform(0.2, 0.5)
@@ -156,10 +164,12 @@ def _on_grid(duration):
     return max(math.ceil(duration / _TIME_GRID - 1e-9), 1) * _TIME_GRID
 
 
-#: the kinds of manoeuvres of a drive, to be shuffled: a city with short stops, one with everything, a slow robot
+#: the kinds of manoeuvres of a drive, to be shuffled: a city with short stops, one with everything, dense traffic, a
+#: slow robot
 CITY = (_turn, _bend, _straight, _turn, _bend, _stop, _turn, _straight, _double_bend, _bend)
 MIXED = (_turn, _bend, _straight, _stop, _turn, _cruise, _bend, _red_light, _turn, _straight, _double_bend, _cruise,
          _bend, _stop, _reverse)
+TRAFFIC = (_stop_and_go, _stop_and_go, _stop_and_go, _turn)
 SLOW = (_robot_straight, _robot_turn, _robot_on_the_spot, _robot_straight, _robot_turn)
 
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.simulation.drive import Drive, simulate_drive, stream
-from mems_ins_fusion.simulation.manoeuvres import CITY, MIXED, SLOW
+from mems_ins_fusion.simulation.manoeuvres import CITY, MIXED, SLOW, TRAFFIC
 from mems_ins_fusion.simulation.simulation import SimulatedAiding
 from mems_ins_fusion.simulation.vibration import Vibration
 
-MANOEUVRES = {'city': CITY, 'mixed': MIXED, 'slow': SLOW}
+MANOEUVRES = {'city': CITY, 'mixed': MIXED, 'traffic': TRAFFIC, 'slow': SLOW}
 #: Hz, natural frequency of a car's body on its springs
 _SUSPENSION = 1.2
 #: rad per m/s^2, pitch of the body, nose up, for forward acceleration

@@ -187,6 +187,14 @@ def realised_variance(mem, r, at):
 
 
 @njit(_nrt=False)
+def white_and_slow(mem, r, at):
+    """Variances of one component of the fix at `at`, m^2: of its white errors, and of those that are nearly the same in
+    the next one."""
+    white = realised_scatter(mem, r) * _claimed(mem, at)
+    return white, max(mem[r + Nav.LASTING], realised_variance(mem, r, at) - white)
+
+
+@njit(_nrt=False)
 def learn(mem, r, at, left_n, left_e):
     """Update the statistics of the receiver with the fix at `at`, after its verdict.
 

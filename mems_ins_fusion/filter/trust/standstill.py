@@ -9,7 +9,7 @@ the vehicle certainly moves, and the usual one at rest. studies/standstill.py co
 counts false and missed seconds.
 
 A robot below MOVING_SPEED may be as quiet in motion as at rest. So a speed of wheels or an odometry overrides the
-detector (`wheels_turn`), and fixes that move straight on for metres contradict a standstill (`shown_speed`).
+detector (`wheels_turn`), and fixes contradict a standstill (`creep.py`).
 """
 from __future__ import annotations
 
@@ -18,8 +18,6 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, ROW, Event, Kind, Nav, Sample, nonnegative, velocity_variance
-from .hypotheses import SHORTEST_CORRELATION
-from .line import FEWEST_ON_LINE, Line, add_to_line, begin_line, fit_line
 
 #: number of parts of the window STILL_WINDOW, which is moved on by one part at a time
 PARTS = 6
@@ -40,8 +38,6 @@ WheelMotion = ROW.place('WheelMotion', TIME=1)  # s, time of the latest speed or
 Standing = ROW.place(
     'Standing',
     TIME=1,  # s, of the latest zero-velocity update,
-    LINE=Line.SIZE,  # line through the fixes of the standstill, m from the first of them
-    FIRST=2,  # latitude and longitude of this one, rad,
     CONTRADICTED=1)  # s, time of the latest fix that showed motion during a standstill; 0: none
 
 #: number of claimed standard deviations above which a speed shows motion
@@ -64,15 +60,6 @@ LEARNING_SPEED = 0.5 * MOVING_SPEED
 #: With two, this rest is learned as motion, and stops are missed for ten minutes
 SURE_SIGMAS = 4.0
 
-#: m, smallest distance that fixes have to move to contradict a standstill: larger than the change of position when a
-#: receiver finds or loses its base
-SHORTEST_DISTANCE = 1.0
-#: the same in standard deviations of a fix: multipath at a standstill wanders by less
-DISTANCE_SIGMAS = 7.0
-#: largest scatter of these fixes about their line as a share of the distance: fixes that jump scatter by a sixth of it
-STRAIGHT_SHARE = 0.15
-#: s, longest duration of one line: after that the vehicle may have turned
-LONGEST_LINE = 60.0
 #: s for which standstills are not used after a contradiction: time to learn the level of motion
 MOTION_TIME = 60.0
 #: s, time constant of each of the two low passes: shorter than the motion of a vehicle, longer than engine vibration
@@ -164,8 +151,9 @@ def stands(mem, r):
 
 
 @njit(_nrt=False)
-def rather_stands(speed, variance, quiet):
-    """Whether a vehicle that has been as quiet as at rest for `quiet` s stands, rather than moving.
+def odds_of_standing(speed, variance, quiet):
+    """How many times as likely it is that a vehicle which has been as quiet as at rest for `quiet` s stands as that it
+    moves.
 
     speed: estimated one, m/s. variance: of it, (m/s)^2. Three statements are compared by how often each is true and by
     its density of the estimated speed: the vehicle stands, creeps at a constant speed, or moves faster on a road that
@@ -173,44 +161,13 @@ def rather_stands(speed, variance, quiet):
     """
     standing, creeping = variance + STOP_SCATTER**2, variance + CREEP_SCATTER**2
     in_motion = _density(speed - CREEP_SPEED, creeping) / STOPS_PER_CREEP + SPEED_DENSITY / STOPS_PER_SMOOTH_ROAD
-    return _density(speed, standing) > SURE_ODDS * in_motion / (1.0 + quiet / CREEP_TIME)
+    return _density(speed, standing) * (1.0 + quiet / CREEP_TIME) / in_motion
 
 
 @njit(_nrt=False)
 def _density(deviation, variance):
     """Density of a normal distribution."""
     return math.exp(-0.5 * deviation * deviation / variance) / math.sqrt(2.0 * math.pi * variance)
-
-
-@njit(_nrt=False)
-def shown_speed(mem, r, at, variance):
-    """Speed, m/s, and distance, m, of the fixes since the begin of a standstill if they contradict it, else zeros.
-
-    at: position of the latest fix. variance: realised variance of one of its components, m^2.
-    """
-    line, time, standing = r + Standing.LINE, mem[at + Event.TIME], stands(mem, r)
-    if not standing or time - mem[line + Line.SINCE] > LONGEST_LINE or mem[r + Nav.REFUSED] > 0.0:
-        mem[line + Line.COUNT] = 0.0
-    if not standing:
-        return 0.0, 0.0
-    if mem[line + Line.COUNT] == 0.0:
-        begin_line(mem, line, time)
-        mem[r + Standing.FIRST], mem[r + Standing.FIRST + 1] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
-    weight = min(max(time - mem[r + Nav.FIX_TIME], 0.0) / SHORTEST_CORRELATION, 1.0)
-    north = (mem[at + Event.LATITUDE] - mem[r + Standing.FIRST]) / mem[r + Nav.NORTH_SCALE]
-    east = (mem[at + Event.LONGITUDE] - mem[r + Standing.FIRST + 1]) / mem[r + Nav.EAST_SCALE]
-    add_to_line(mem, line, time, north, east, weight)
-    if mem[line + Line.COUNT] < FEWEST_ON_LINE:
-        return 0.0, 0.0
-    slope_n, slope_e, left, _ = fit_line(mem, line)
-    speed = math.hypot(slope_n, slope_e)
-    distance = speed * (time - mem[line + Line.SINCE])
-    # the accelerometers would have shown how a vehicle reached a higher speed
-    if (distance < max(SHORTEST_DISTANCE, DISTANCE_SIGMAS * math.sqrt(variance)) or speed > MOVING_SPEED
-            or math.sqrt(left) > STRAIGHT_SHARE * distance):
-        return 0.0, 0.0
-    mem[line + Line.COUNT], mem[r + Standing.CONTRADICTED] = 0.0, time
-    return speed, distance
 
 
 @njit(_nrt=False)
