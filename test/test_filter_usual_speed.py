@@ -61,6 +61,12 @@ def test_a_velocity_that_is_known_better_stays_as_it_is():
     assert velocity == pytest.approx(6.0, abs=1e-6)
 
 
+def test_a_vehicle_that_is_certainly_faster_than_usual_goes_on():
+    # given 40 +- 6 m/s, where 5 m/s is usual: less certain than the usual speed, but certainly faster
+    _, velocity, *_ = without_fixes(1.2 * math.sqrt(ASSUMED_VARIANCE), velocity=40.0)
+    assert velocity == pytest.approx(40.0, abs=1e-6)
+
+
 def test_a_velocity_stays_as_it_is_where_fixes_have_shown_none():
     _, velocity, *_ = without_fixes(30.0, learned=False)
     assert velocity == pytest.approx(6.0, abs=1e-6)

@@ -105,6 +105,7 @@ def constrain(mem, r, sample):
             dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
             _constrain_motion(mem, r, at, n, h, dimensions, since)
             _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)
+        usual_speed.learn_certain_speed(mem, r)
         if usual_speed.bounds(mem, r):
             clear_rows(mem, h, n)
             standstill.observe_velocity(mem, r, at, h, n, 2, usual_speed.variance(mem, r, since))

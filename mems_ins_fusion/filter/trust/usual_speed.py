@@ -8,10 +8,13 @@ a car.
 """
 from __future__ import annotations
 
+import math
+
 from mems_ins_fusion.compiled import njit
 
 from ..memory import ROW, Nav, velocity_variance
 from .scale import Scale, learn, scale
+from .standstill import certain_speed, velocity_sigma
 
 #: of a state: realised variance of the velocity over ASSUMED_VARIANCE
 UsualSpeed = ROW.place('UsualSpeed', SCALE=Scale.SIZE)
@@ -34,6 +37,15 @@ def learn_speed(mem, r, time):
     if mem[at + Scale.TIME] == 0.0 or time - mem[at + Scale.TIME] > CORRELATION:
         squared = 0.5 * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
         learn(mem, at, time, squared, ASSUMED_VARIANCE, 0.5 * velocity_variance(mem, r), 2)
+
+
+@njit(_nrt=False)
+def learn_certain_speed(mem, r):
+    """Learn from the state at r, which has no fixes, if the vehicle is certainly faster than usual: in traffic that
+    flows again, it is soon ten times as fast."""
+    squared = 0.5 * certain_speed(mem, r, velocity_sigma(mem, r)) ** 2
+    if is_without_fixes(mem, r) and squared > _usual(mem, r):
+        mem[r + UsualSpeed.SCALE + Scale.LOG] = math.log(squared / ASSUMED_VARIANCE)
 
 
 @njit(_nrt=False)
