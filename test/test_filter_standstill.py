@@ -155,6 +155,20 @@ def test_a_stop_that_passes_for_slow_motion_does_not_hide_the_next_one():
     assert flags[stops[1] & (time > 63.5)].all() and not flags[~(stops[0] | stops[1])].any()
 
 
+def test_what_was_quiet_before_a_gap_does_not_make_a_vehicle_stand_after_it():
+    # given a car that stands, samples that are missing for 10 s, and the car driving off meanwhile
+    time = np.append(0.01 * np.arange(2000), 30.0 + 0.01 * np.arange(300))
+    memory = configure({'mechanization': 'planar', 'vehicle.zero_velocity': True}).memory()
+    sample, flags = sample_at(memory, 1), np.zeros(len(time), dtype=bool)
+    for k in range(1, len(time)):
+        memory[sample + Sample.TIME] = time[k]
+        steady, varying = (2.0, 0.2) if time[k] > 25.0 else (0.0, 0.005)
+        memory[sample + Sample.F_X] = steady + varying * np.sin(3.0 * time[k])
+        flags[k] = is_still(memory, sample, 0.01, 0.0, 2.0, k == 2000, False)
+    # then it stands before the gap, and not after it
+    assert flags[(time > 5.0) & (time < 25.0)].all() and not flags[time > 25.0].any()
+
+
 def test_a_quiet_vehicle_stands_where_that_is_ten_times_as_likely_as_motion():
     # given estimated speeds and their sigmas, and for how long the vehicle has been as quiet as at rest
     speeds, sigmas, believed = np.geomspace(0.01, 30.0, 31), np.geomspace(0.02, 8.0, 9), []

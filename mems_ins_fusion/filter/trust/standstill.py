@@ -27,6 +27,7 @@ Still = HEAD.place(
     FIRST=3,  # m/s^2, specific force after one low pass
     SECOND=3,  # and after two
     MEAN=3,  # its running mean
+    TIME=1,  # s, of the latest sample
     PART=1,  # number of the part of the window that the latest sample belongs to
     SQUARES=PARTS + 1,  # (m/s^2)^2 s, integral of the squared deviation from the mean over each part,
     DURATIONS=PARTS + 1,  # s, and the duration of each part
@@ -192,6 +193,11 @@ def is_still(mem, sample, dt, speed, sigma, anew, without_fixes):
         square += deviation * deviation
     if first:
         mem[Still.MOTION], mem[Still.REST] = math.log(EXPECTED_MOTION), math.log(EXPECTED_REST)
+    time = mem[sample + Sample.TIME]
+    if time - mem[Still.TIME] > STILL_WINDOW / PARTS:  # what has been before a gap tells nothing of what is after it
+        for i in range(PARTS + 1):
+            mem[Still.SQUARES + i] = mem[Still.DURATIONS + i] = 0.0
+    mem[Still.TIME] = time
     mean, seen = _mean_square(mem, square, dt)
     if seen < STILL_WINDOW:
         return 0.0
