@@ -45,6 +45,8 @@ LONGEST_SLIP = 5.0
 #: is used: a single one is no displacement, and displacements that begin anew all the time show no factor. Also the
 #: time constant of the innovations that its change is compared with
 SHORTEST_SLIP = 0.25
+#: multiple of the interval between two messages within which one follows another: none is missing between them
+FOLLOWS = 1.5
 #: multiple of the claimed variance that counts as noise where GATE is judged, however large it has been seen to be:
 #: three times the sigma, as the prior of a scale has it. More is slip or another fault, and makes none fit
 LARGEST_NOISE_FACTOR = 9.0
@@ -122,8 +124,14 @@ def factor_and_limits(mem, r, at, n, dimensions):
     factor = max(scale(mem, own), 1.0) + unknown / claimed
     if has_displacement(kind):
         fitted = _has_fitted(mem, own, kind, time)
-        refused = _refuses(mem, r, at, n, own, time, since, squared, variance, nis, change, change_nis, slips,
-                           confirmed)
+        if _fits(mem, own, kind, time, since, nis, change_nis, slips):
+            refused = False
+            if confirmed and change_nis > OTHER_SIGMAS**2 and _comes_back(mem, own, kind, time, since):
+                _raise_error(mem, at, n, change)
+            _note_fitted(mem, r, at, n, own, variance, since)
+        else:
+            refused = _refuses(mem, at, n, own, since, squared, _is_far_off(kind, max(nis, change_nis)), slips,
+                               confirmed)
         if refused or confirmed or fitted:  # one by one each is judged by what it claims itself
             gate = GATE * math.sqrt((variance + noise) / (variance + factor * claimed))
             return factor, density, REFUSE_ALL if refused else gate
@@ -190,10 +198,11 @@ def _first(mem, r, at, n):
 
 
 @njit(_nrt=False)
-def _note_fitted(mem, r, at, n, own, variance, since, anew):
-    """Note that the input fits: time, level of its innovation and variance of the state. anew: it has not for long."""
-    gain = 1.0 if anew else _gain(since)
-    mem[own + Seen.FITTED] = mem[at + Event.TIME]
+def _note_fitted(mem, r, at, n, own, variance, since):
+    """Note that the input fits: time, level of its innovation and variance of the state."""
+    kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
+    gain = _gain(since) if _has_fitted(mem, own, kind, time) else 1.0
+    mem[own + Seen.FITTED] = time
     mem[own + Seen.LEVEL] += gain * (_first(mem, r, at, n) - mem[own + Seen.LEVEL])
     mem[own + Seen.LEVEL_VARIANCE] += gain * (variance - mem[own + Seen.LEVEL_VARIANCE])
 
@@ -227,7 +236,7 @@ def _has_fitted(mem, own, kind, time):
 def _goes_on_slipping(mem, own, kind, time, since):
     """Whether a speed, velocity or odometry that has fitted lately has not done so for SHORTEST_SLIP."""
     return (is_of_velocity(kind) and _has_fitted(mem, own, kind, time)
-            and time - mem[own + Seen.FITTED] > max(SHORTEST_SLIP, 1.5 * since))
+            and time - mem[own + Seen.FITTED] > max(SHORTEST_SLIP, FOLLOWS * since))
 
 
 @njit(_nrt=False)
@@ -242,38 +251,43 @@ def _slips(mem, own, kind, time, since, nis):
 
 
 @njit(_nrt=False)
-def _refuses(mem, r, at, n, own, time, since, squared, variance, nis, change, change_nis, slips, confirmed):
-    """Whether a speed, velocity, odometry or heading is refused: it slips, or is far off for longer than a slip lasts
-    while fixes confirm the state, by more than its constant error can be. Notes that it has fitted, and ends its
-    displacement where it slips.
+def _fits(mem, own, kind, time, since, nis, change_nis, slips):
+    """Whether a speed, velocity, odometry or heading fits the state; of one that has not fitted for SHORTEST_SLIP, the
+    change of the innovation has to fit, too. nis, change_nis: squares of both over their variances."""
+    if not _has_fitted(mem, own, kind, time):
+        return nis < ROBUST**2
+    follows = time - mem[own + Seen.FITTED] < FOLLOWS * since  # the message before this one has fitted
+    return nis < ROBUST**2 and not slips and (follows or change_nis < ROBUST**2)
 
-    squared, change: of the innovation and of its change, squared. nis, change_nis: over their variances. variance: of
-    the state in the innovation.
-    """
-    kind, error = int(mem[at + Event.KIND]), _constant_error(mem, at)
-    lasts, far_off = _goes_on_slipping(mem, own, kind, time, since), _is_far_off(kind, max(nis, change_nis))
-    fitted, anew = mem[own + Seen.FITTED], not _has_fitted(mem, own, kind, time)
-    latest_fitted = time - fitted < 1.5 * since  # the message before this one, and not only an earlier one
-    if nis < ROBUST**2 and (anew or not slips and (latest_fitted or change_nis < ROBUST**2)):
-        is_other = change_nis > OTHER_SIGMAS**2
-        if confirmed and is_other and fitted > 0.0 and (lasts or anew and since < displacement.LONGEST_PAUSE):
-            _raise_error(mem, at, n, own, change)
-        _note_fitted(mem, r, at, n, own, variance, since, anew)
-        return False
+
+@njit(_nrt=False)
+def _comes_back(mem, own, kind, time, since):
+    """Whether a speed, velocity, odometry or heading that fits has not done so in messages before this one."""
+    if _has_fitted(mem, own, kind, time):
+        return _goes_on_slipping(mem, own, kind, time, since)
+    return mem[own + Seen.FITTED] > 0.0 and since < displacement.LONGEST_PAUSE
+
+
+@njit(_nrt=False)
+def _refuses(mem, at, n, own, since, squared, far_off, slips, confirmed):
+    """Whether a speed, velocity, odometry or heading that does not fit is refused: it slips, or is far off for longer
+    than a slip lasts while fixes confirm the state, by more than its constant error can be. squared: innovation."""
+    kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
     if confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0:  # no slip lasts for so long
+        error = _constant_error(mem, at)
         if error >= 0 and squared < (LARGEST_ERROR * mem[int(mem[Head.SCRATCH_AT]) + n * n + error]) ** 2:
             _make_error_uncertain(mem, at, n, own)
             return False
         mem[own + Seen.FITTED] = 0.0
         displacement.forget(mem, own)
         return True
-    if lasts and far_off and kind != Kind.VELOCITY:
+    if far_off and kind != Kind.VELOCITY and _goes_on_slipping(mem, own, kind, time, since):
         displacement.interrupt(mem, own)
     return slips
 
 
 @njit(_nrt=False)
-def _raise_error(mem, at, n, own, change):
+def _raise_error(mem, at, n, change):
     """The slip of the input at `at` is over, or its constant error has become another one while it did not fit: the
     variance of that error is raised by what would explain the change of the innovation squared."""
     error, p = _constant_error(mem, at), int(mem[Head.SCRATCH_AT])
