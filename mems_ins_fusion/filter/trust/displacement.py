@@ -85,14 +85,6 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
 
 
 @njit(_nrt=False)
-def forget(mem, own):
-    """Begin the comparison of an input anew after it has changed; until it is complete, the input counts as wrong."""
-    forget_share(mem, own)
-    interrupt(mem, own)
-    mem[own + Seen.COMPARED] = -1.0
-
-
-@njit(_nrt=False)
 def forget_share(mem, own):
     """Reset the share to its prior."""
     mem[own + Seen.SHARE] = mem[own + Seen.SHARE + 1] = mem[own + Seen.REDUCED] = 0.0
@@ -200,6 +192,13 @@ def _accept(mem, own):
 def is_compared(mem, own):
     """Whether the comparison of an input is complete: a wrong share would have been significant."""
     return mem[own + Seen.COMPARED] != 0.0
+
+
+@njit(_nrt=False)
+def squared_share(mem, own):
+    """Square of the share that an input has, beyond what the variance of its estimate explains."""
+    square = mem[own + Seen.SHARE] ** 2 + mem[own + Seen.SHARE + 1] ** 2
+    return max(square - 2.0 * (SHARE_PRIOR - mem[own + Seen.REDUCED]), 0.0)
 
 
 @njit(_nrt=False)

@@ -63,9 +63,6 @@ OTHER_SIGMAS = 2.0
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
 LONGEST_JUMP = 60.0
-#: s for which the displacements of an input that was wrong have to be right before it is used again: on a straight
-#: street other axes may fit, too
-READMITTED_AFTER = 20.0
 #: s without a fix after which the fixes no longer confirm the velocity
 LONGEST_WITHOUT_FIX = 10.0
 
@@ -84,13 +81,8 @@ def factor_and_limits(mem, r, at, n, dimensions):
     """
     own, kind, time = seen_of(mem, r, at), int(mem[at + Event.KIND]), mem[at + Event.TIME]
     _note_wrong_displacement(mem, r, at, n)
-    if is_contradicted(mem, r, at):
-        return 1.0, 1.0, REFUSE_ALL
-    if has_displacement(kind) and mem[own + Seen.FITTED] < 0.0:  # used again, maybe not as the one it was
-        mem[own + Seen.FITTED] = 0.0
-        _make_error_uncertain(mem, at, n, own)
     since = time - mem[own + Scale.TIME]
-    if _is_uncompared(mem, r, at):
+    if not is_contradicted(mem, r, at) and _is_uncompared(mem, r, at):
         return _before_comparison(mem, at, own, since)
     correlation = SPEED_CORRELATION if is_of_velocity(kind) else FIELD_CORRELATION if kind == Kind.MAGNETIC else 0.0
     density = _repeated(correlation, since)
@@ -99,6 +91,12 @@ def factor_and_limits(mem, r, at, n, dimensions):
     unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
     noise = _noise(kind, claimed, before * claimed + unknown)
     squared, variance = _innovation(mem, r, at, n, dimensions)
+    if is_contradicted(mem, r, at):
+        if not _is_right_again(mem, r, at, n, own, squared, variance + noise):
+            return 1.0, 1.0, REFUSE_ALL
+        mem[own + Seen.FITTED] = 0.0
+        _forget_error(mem, at, n, own, squared - variance - noise)  # maybe not as the one it was
+        squared, variance = _innovation(mem, r, at, n, dimensions)
     change, expected = _change(mem, r, at, n, own, noise, variance, since)
     nis, change_nis = squared / (variance + noise), change / expected
     if kind == Kind.SPEED and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own):
@@ -274,12 +272,10 @@ def _refuses(mem, at, n, own, since, squared, far_off, slips, confirmed):
     than a slip lasts while fixes confirm the state, by more than its constant error can be. squared: innovation."""
     kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
     if confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0:  # no slip lasts for so long
-        error = _constant_error(mem, at)
-        if error >= 0 and squared < (LARGEST_ERROR * mem[int(mem[Head.SCRATCH_AT]) + n * n + error]) ** 2:
-            _make_error_uncertain(mem, at, n, own)
+        if _may_be_constant(mem, at, n, squared):
+            _forget_error(mem, at, n, own, squared)
             return False
-        mem[own + Seen.FITTED] = 0.0
-        displacement.forget(mem, own)
+        mem[own + Seen.FITTED] = -time
         return True
     if far_off and kind != Kind.VELOCITY and _goes_on_slipping(mem, own, kind, time, since):
         displacement.interrupt(mem, own)
@@ -287,22 +283,49 @@ def _refuses(mem, at, n, own, since, squared, far_off, slips, confirmed):
 
 
 @njit(_nrt=False)
-def _raise_error(mem, at, n, change):
-    """The slip of the input at `at` is over, or its constant error has become another one while it did not fit: the
-    variance of that error is raised by what would explain the change of the innovation squared."""
-    error, p = _constant_error(mem, at), int(mem[Head.SCRATCH_AT])
-    h = mem[p + n * n + error] if error >= 0 else 0.0
-    if h != 0.0:
-        mem[p + (n + 1) * error] += min(change / h**2, LARGEST_ERROR**2)
+def _may_be_constant(mem, at, n, squared):
+    """Whether a constant error of the input at `at` may be as large as its innovation, squared."""
+    error = _constant_error(mem, at)
+    return error >= 0 and squared < (LARGEST_ERROR * mem[int(mem[Head.SCRATCH_AT]) + n * n + error]) ** 2
 
 
 @njit(_nrt=False)
-def _make_error_uncertain(mem, at, n, own):
-    """The constant error of the input at `at`, where it has one, may have become another one; what its displacements
-    have shown is of the one before, and what seemed to be noise may have been that."""
+def _is_right_again(mem, r, at, n, own, squared, expected):
+    """Whether an input that was wrong is right again: its displacements are, and while there are fixes it fits the
+    state, which it has not misled since then. One that does not fit has no displacement.
+
+    squared, expected: of the innovation, and its variance.
+    """
+    kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
+    if mem[own + Seen.FITTED] == -time:  # now, too
+        return False
+    if is_of_heading(kind):  # fixes show the state's heading late
+        return True
+    if squared > ROBUST**2 * expected and not _may_be_constant(mem, at, n, squared):
+        displacement.interrupt(mem, own)
+        return False
+    return time - mem[r + Nav.FIX_TIME] < LONGEST_WITHOUT_FIX
+
+
+@njit(_nrt=False)
+def _raise_error(mem, at, n, squared):
+    """The constant error of the input at `at`, where it has one, may have become another one: its variance is raised by
+    what would explain that the innovation, squared, has changed by so much."""
+    error, p = _constant_error(mem, at), int(mem[Head.SCRATCH_AT])
+    h = mem[p + n * n + error] if error >= 0 else 0.0
+    if h != 0.0:
+        mem[p + (n + 1) * error] += min(squared / h**2, LARGEST_ERROR**2)
+
+
+@njit(_nrt=False)
+def _forget_error(mem, at, n, own, squared):
+    """The same by what would explain the innovation, squared, and the displacements, beyond what is expected; these are
+    of the error before, and so may be what seemed to be noise."""
     error = _constant_error(mem, at)
     if error >= 0:
-        mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error] += LARGEST_ERROR**2
+        mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error] += min(displacement.squared_share(mem, own), LARGEST_ERROR**2)
+        _raise_error(mem, at, n, max(squared, 0.0))
+        mem[own + Seen.ABOVE] = mem[own + Seen.BELOW] = 0.0
         displacement.forget_share(mem, own)
         reopen(mem, own, 1.0)
 
@@ -362,10 +385,8 @@ def _constant_error(mem, at):
 
 @njit(_nrt=False)
 def is_contradicted(mem, r, at):
-    """Whether the displacements of the input of the event at `at` contradict those of the fixes, or did so lately."""
-    fitted = mem[seen_of(mem, r, at) + Seen.FITTED]
-    return (has_displacement(int(mem[at + Event.KIND])) and fitted < 0.0
-            and mem[at + Event.TIME] + fitted < READMITTED_AFTER)
+    """Whether the input of the event at `at` has contradicted the fixes, and has not been right again since then."""
+    return has_displacement(int(mem[at + Event.KIND])) and mem[seen_of(mem, r, at) + Seen.FITTED] < 0.0
 
 
 @njit(_nrt=False)
