@@ -276,6 +276,7 @@ def _refuses(mem, at, n, own, since, squared, far_off, slips, confirmed):
             _forget_error(mem, at, n, own, squared)
             return False
         mem[own + Seen.FITTED] = -time
+        displacement.forget(mem, own)
         return True
     if far_off and kind != Kind.VELOCITY and _goes_on_slipping(mem, own, kind, time, since):
         displacement.interrupt(mem, own)
@@ -291,20 +292,29 @@ def _may_be_constant(mem, at, n, squared):
 
 @njit(_nrt=False)
 def _is_right_again(mem, r, at, n, own, squared, expected):
-    """Whether an input that was wrong is right again: its displacements are, and while there are fixes it fits the
-    state, which it has not misled since then. One that does not fit has no displacement.
+    """Whether an input that was wrong is right again: its displacements are, or it has fitted the state, which it has
+    not misled since then, for SPEED_CORRELATION where an error of LARGEST_ERROR would not have fitted.
 
     squared, expected: of the innovation, and its variance.
     """
     kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
-    if mem[own + Seen.FITTED] == -time:  # now, too
+    if mem[own + Seen.FITTED] == -time:  # its displacements are wrong
         return False
-    if is_of_heading(kind):  # fixes show the state's heading late
-        return True
+    if is_of_heading(kind):  # the state's heading may be what it has made of it
+        return displacement.is_compared(mem, own)
     if squared > ROBUST**2 * expected and not _may_be_constant(mem, at, n, squared):
+        mem[own + Seen.FITTED] = -time
         displacement.interrupt(mem, own)
         return False
-    return time - mem[r + Nav.FIX_TIME] < LONGEST_WITHOUT_FIX
+    if displacement.is_compared(mem, own):
+        return True
+    speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
+    if ROBUST**2 * expected > (LARGEST_ERROR * speed) ** 2:
+        mem[own + Seen.FITTED] = -time
+    if time + mem[own + Seen.FITTED] < SPEED_CORRELATION:
+        return False
+    displacement.accept(mem, own)
+    return True
 
 
 @njit(_nrt=False)
@@ -401,7 +411,8 @@ def _note_wrong_displacement(mem, r, at, n):
         tolerated = displacement.SHARE_SIGMAS * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
         if mem[own + Seen.FITTED] < 0.0:  # refused already: it may be one with another constant error
             tolerated = max(tolerated, LARGEST_ERROR)
-    if displacement.differs(mem, own, kind, tolerated):
+    begun_anew = mem[own + Seen.FITTED] >= 0.0 and mem[own + Seen.COMPARED] < 0.0
+    if begun_anew or displacement.differs(mem, own, kind, tolerated):
         # it has misled the state where it was used since the fix before: one that was refused has not
         fitted = mem[own + Seen.FITTED]
         if fitted > max(mem[own + Seen.START] - displacement.LONGEST_PAUSE, 0.0):
