@@ -74,6 +74,12 @@ def has_displacement(kind):
 
 
 @njit(_nrt=False)
+def is_forward_speed(kind):
+    """Whether measurements of this kind begin with a forward speed, as that of wheels: a speed or an odometry."""
+    return kind == Kind.SPEED or kind == Kind.TWIST
+
+
+@njit(_nrt=False)
 def factor_and_limits(mem, r, at, n, dimensions):
     """Factor on the covariance of the input at `at`, learned from its innovation, too; how many of it tell no more than
     one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components that are judged together, 1
@@ -88,7 +94,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
     density = _repeated(correlation, since)
     claimed = mem[at + Event.R_NN] if dimensions == 1 else 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     before = max(scale(mem, own), 1.0)
-    unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
+    unknown = repeats.unknown(mem, own, time) if is_forward_speed(kind) else 0.0
     noise = _noise(kind, claimed, before * claimed + unknown)
     squared, variance = _innovation(mem, r, at, n, dimensions)
     if is_contradicted(mem, r, at):
@@ -99,7 +105,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
         squared, variance = _innovation(mem, r, at, n, dimensions)
     change, expected = _change(mem, r, at, n, own, noise, variance, since)
     nis, change_nis = squared / (variance + noise), change / expected
-    if kind == Kind.SPEED and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own):
+    if is_forward_speed(kind) and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own):
         noise = max(noise, squared - variance, change)
         nis, change_nis = squared / (variance + noise), change / max(expected, noise)
     slips = has_displacement(kind) and _slips(mem, own, kind, time, since, max(nis, change_nis))
@@ -178,7 +184,7 @@ def _change(mem, r, at, n, own, noise, variance, since):
     wheel that begins to slip is found though the state is less certain than the wheel. noise: variance of the input.
     """
     gain, kind = _gain(since), mem[at + Event.KIND]
-    is_judged = (kind == Kind.SPEED or kind == Kind.TWIST) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
+    is_judged = is_forward_speed(kind) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
     change = _first(mem, r, at, n) - mem[own + Seen.LEVEL] if is_judged else 0.0
     return change**2, noise * 2.0 / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
 
@@ -207,7 +213,7 @@ def _note_fitted(mem, r, at, n, own, variance, since):
 
 @njit(_nrt=False)
 def _alternates(mem, r, at, n, own):
-    """Whether a speed that is far off was so on the other side within LONGEST_SLIP: wheels that slip are too fast or
+    """Whether a forward speed that is far off was so on the other side within LONGEST_SLIP: wheels that slip are too fast or
     too slow for a while, so this is noise, however large, from which its scale is learned."""
     side, other = (Seen.ABOVE, Seen.BELOW) if _first(mem, r, at, n) > 0.0 else (Seen.BELOW, Seen.ABOVE)
     time = mem[at + Event.TIME]
@@ -321,10 +327,9 @@ def _is_right_again(mem, r, at, n, own, squared, expected):
 def _raise_error(mem, at, n, squared):
     """The constant error of the input at `at`, where it has one, may have become another one: its variance is raised by
     what would explain that the innovation, squared, has changed by so much."""
-    error, p = _constant_error(mem, at), int(mem[Head.SCRATCH_AT])
-    h = mem[p + n * n + error] if error >= 0 else 0.0
-    if h != 0.0:
-        mem[p + (n + 1) * error] += min(squared / h**2, LARGEST_ERROR**2)
+    if squared > 0.0 and _may_be_constant(mem, at, n, squared):
+        error, p = _constant_error(mem, at), int(mem[Head.SCRATCH_AT])
+        mem[p + (n + 1) * error] += squared / mem[p + n * n + error] ** 2
 
 
 @njit(_nrt=False)
@@ -334,7 +339,7 @@ def _forget_error(mem, at, n, own, squared):
     error = _constant_error(mem, at)
     if error >= 0:
         mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error] += min(displacement.squared_share(mem, own), LARGEST_ERROR**2)
-        _raise_error(mem, at, n, max(squared, 0.0))
+        _raise_error(mem, at, n, squared)
         mem[own + Seen.ABOVE] = mem[own + Seen.BELOW] = 0.0
         displacement.forget_share(mem, own)
         reopen(mem, own, 1.0)
@@ -389,7 +394,7 @@ def _constant_error(mem, at):
     """Index of the state that is the constant error of the input at `at`, -1: none: scale factor error of a speed or an
     odometry, offset of a heading."""
     kind = mem[at + Event.KIND]
-    is_one = kind == Kind.SPEED or kind == Kind.TWIST or kind == Kind.HEADING
+    is_one = is_forward_speed(kind) or kind == Kind.HEADING
     return int(mem[at + Event.STATE]) if is_one else -1
 
 
