@@ -105,7 +105,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
         squared, variance = _innovation(mem, r, at, n, dimensions)
     change, expected = _change(mem, r, at, n, own, noise, variance, since)
     nis, change_nis = squared / (variance + noise), change / expected
-    if is_forward_speed(kind) and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own):
+    if is_of_velocity(kind) and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own):
         noise = max(noise, squared - variance, change)
         nis, change_nis = squared / (variance + noise), change / max(expected, noise)
     slips = has_displacement(kind) and _slips(mem, own, kind, time, since, max(nis, change_nis))
@@ -213,7 +213,7 @@ def _note_fitted(mem, r, at, n, own, variance, since):
 
 @njit(_nrt=False)
 def _alternates(mem, r, at, n, own):
-    """Whether a forward speed that is far off was so on the other side within LONGEST_SLIP: wheels that slip are too fast or
+    """Whether a speed or velocity that is far off was so on the other side within LONGEST_SLIP: wheels that slip are too fast or
     too slow for a while, so this is noise, however large, from which its scale is learned."""
     side, other = (Seen.ABOVE, Seen.BELOW) if _first(mem, r, at, n) > 0.0 else (Seen.BELOW, Seen.ABOVE)
     time = mem[at + Event.TIME]
