@@ -102,6 +102,52 @@ def test_a_heading_that_points_elsewhere_is_as_none():
     assert counts[Verdict.CONTRADICTED] > 0.7 * np.count_nonzero(later), counts
 
 
+def test_wheels_that_have_slipped_for_long_are_used_again_within_two_seconds():
+    # given wheels that are 3 m/s too fast for 8 s, longer than a slip is held for one, in a drive that goes on
+    recording = drive(2)
+    speed = recording.speed
+    time = (speed.stamp - speed.stamp[0]) * 1e-9
+    slips, after = (time >= 90.0) & (time < 98.0), (time >= 100.0) & (time < 115.0)
+    assert speed.speed[(time >= 90.0) & (time < 115.0)].min() > 4.0
+    bad = replace(speed, speed=speed.speed + 3.0 * slips)
+    measured = run(config('speed'), recording.imu, recording.gnss, Aiding(speed=bad)).measured
+    mine = measured.select(measured.kind == Kind.SPEED)
+    used = np.isin(mine.event[:, Event.VERDICT], [Verdict.USED, Verdict.WEIGHTED])
+    # then hardly any of the slip is used, and nearly all from two seconds after it on
+    assert used[slips[mine.index]].mean() < 0.02 and used[after[mine.index]].mean() > 0.95
+
+
+@pytest.mark.parametrize('name', ['velocity', 'twist'])
+def test_one_in_another_unit_from_some_moment_on_is_not_taken_for_right_where_the_vehicle_stands(name):
+    # given an input in km/h from 60 s on, in drives that stop and drive off again
+    with_it, without = [], []
+    for seed in (2, 3):
+        recording = drive(seed)
+        samples = recording.streams()[name]
+        later = samples.stamp > samples.stamp[0] + 60 * SECOND
+        bad = replace(samples, **{name: getattr(samples, name) * np.where(later, 3.6, 1.0)[:, None]})
+        with_it.append(largest_errors(recording, {name: bad}))
+        without.append(largest_errors(recording, {name: samples.select(~later)}))
+    # then outages are as without it
+    assert np.mean(with_it) < 1.3 * np.mean(without) + 1.0, (with_it, without)
+
+
+@pytest.mark.parametrize('name', ['speed', 'velocity', 'twist'])
+def test_one_that_scatters_is_no_slip(name):
+    # given an input that scatters by 2 m/s from 60 s on, many times what it claims
+    rng, with_it, without = np.random.default_rng(5), [], []
+    for seed in (2, 3):
+        recording = drive(seed, 10.0)
+        samples = recording.streams()[name]
+        later = samples.stamp > samples.stamp[0] + 60 * SECOND
+        values = getattr(samples, name)
+        noise = 2.0 * rng.standard_normal(values.shape) * (later if values.ndim == 1 else later[:, None])
+        with_it.append(largest_errors(recording, {name: replace(samples, **{name: values + noise})}))
+        without.append(largest_errors(recording, {}))
+    # then outages are not worse for it
+    assert np.mean(with_it) < 1.1 * np.mean(without) + 1.0, (with_it, without)
+
+
 @pytest.mark.parametrize(('name', 'seconds'), [('speed', 0.5), ('velocity', 0.3), ('twist', 0.5), ('heading', 0.5)])
 def test_one_that_is_late_is_better_than_none_and_not_believed_too_far(name, seconds):
     # given stamps that are late from the begin on, or early

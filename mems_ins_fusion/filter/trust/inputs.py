@@ -213,8 +213,8 @@ def _note_fitted(mem, r, at, n, own, variance, since):
 
 @njit(_nrt=False)
 def _alternates(mem, r, at, n, own):
-    """Whether a speed or velocity that is far off was so on the other side within LONGEST_SLIP: wheels that slip are too fast or
-    too slow for a while, so this is noise, however large, from which its scale is learned."""
+    """Whether a speed, velocity or odometry that is far off was so on the other side within LONGEST_SLIP: wheels that
+    slip are too fast or too slow for a while, so this is noise, however large, from which its scale is learned."""
     side, other = (Seen.ABOVE, Seen.BELOW) if _first(mem, r, at, n) > 0.0 else (Seen.BELOW, Seen.ABOVE)
     time = mem[at + Event.TIME]
     mem[own + side] = time
@@ -275,7 +275,8 @@ def _comes_back(mem, own, kind, time, since):
 @njit(_nrt=False)
 def _refuses(mem, at, n, own, since, squared, far_off, slips, confirmed):
     """Whether a speed, velocity, odometry or heading that does not fit is refused: it slips, or is far off for longer
-    than a slip lasts while fixes confirm the state, by more than its constant error can be. squared: innovation."""
+    than a slip lasts while fixes confirm the state, by more than its constant error can be. The latter makes it wrong
+    until it `_is_right_again`. squared: of the innovation."""
     kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
     if confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0:  # no slip lasts for so long
         if _may_be_constant(mem, at, n, squared):
@@ -299,7 +300,8 @@ def _may_be_constant(mem, at, n, squared):
 @njit(_nrt=False)
 def _is_right_again(mem, r, at, n, own, squared, expected):
     """Whether an input that was wrong is right again: its displacements are, or it has fitted the state, which it has
-    not misled since then, for SPEED_CORRELATION where an error of LARGEST_ERROR would not have fitted.
+    not misled since then, for SPEED_CORRELATION where an error of LARGEST_ERROR would not have fitted. Notes since when
+    it fits; one that does not has no displacement.
 
     squared, expected: of the innovation, and its variance.
     """
