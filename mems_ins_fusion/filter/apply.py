@@ -144,7 +144,7 @@ def _apply_input(mem, r, at, sample):
         end_update(mem, r)
         set_radii(mem, r)
         hypotheses.move_offset(mem, r, before)
-        if kind == Kind.SPEED or kind == Kind.TWIST:
+        if inputs.is_forward_speed(kind):
             note_speed(mem, r, at)
     repeats.note(mem, r, at)
 

@@ -69,7 +69,7 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
     mem[own + Seen.TRAVELLED] += mem[r + Nav.V_N] * since
     mem[own + Seen.TRAVELLED + 1] += mem[r + Nav.V_E] * since
     if before != 0.0 and since > LONGEST_PAUSE:  # too slow to be integrated: accepted without a comparison
-        _accept(mem, own)
+        accept(mem, own)
     if yaw_variance > LARGEST_HEADING_SIGMA**2:
         forget_share(mem, own)
         interrupt(mem, own)
@@ -185,12 +185,12 @@ def learn(mem, own, moved, fixes, drift, noise):
     mem[own + Seen.DISTANCE_VARIANCE] = gain * noise
     mem[own + Seen.REJECTED] = 0.0
     if variance < COMPARED_SIGMA**2:
-        _accept(mem, own)
+        accept(mem, own)
     return True
 
 
 @njit(_nrt=False)
-def _accept(mem, own):
+def accept(mem, own):
     """Mark the comparison of an input as complete."""
     if mem[own + Seen.COMPARED] <= 0.0:
         mem[own + Seen.COMPARED] = mem[own + Seen.DISPLACEMENT_TIME]
@@ -199,7 +199,14 @@ def _accept(mem, own):
 @njit(_nrt=False)
 def is_compared(mem, own):
     """Whether the comparison of an input is complete: a wrong share would have been significant."""
-    return mem[own + Seen.COMPARED] != 0.0
+    return mem[own + Seen.COMPARED] > 0.0
+
+
+@njit(_nrt=False)
+def squared_share(mem, own):
+    """Square of the share that an input has, beyond what the variance of its estimate explains."""
+    square = mem[own + Seen.SHARE] ** 2 + mem[own + Seen.SHARE + 1] ** 2
+    return max(square - 2.0 * (SHARE_PRIOR - mem[own + Seen.REDUCED]), 0.0)
 
 
 @njit(_nrt=False)
@@ -211,7 +218,7 @@ def differs(mem, own, kind, tolerated):
         off = abs(math.atan2(share.imag, 1.0 + share.real))
     else:
         off = abs(share) if kind == Kind.VELOCITY else abs(share.real)
-    return mem[own + Seen.COMPARED] < 0.0 or _is_significant(mem, own, off, tolerated)
+    return _is_significant(mem, own, off, tolerated)
 
 
 @njit(_nrt=False)

@@ -45,6 +45,8 @@ LONGEST_SLIP = 5.0
 #: is used: a single one is no displacement, and displacements that begin anew all the time show no factor. Also the
 #: time constant of the innovations that its change is compared with
 SHORTEST_SLIP = 0.25
+#: multiple of the interval between two messages within which one follows another: none is missing between them
+FOLLOWS = 1.5
 #: multiple of the claimed variance that counts as noise where GATE is judged, however large it has been seen to be:
 #: three times the sigma, as the prior of a scale has it. More is slip or another fault, and makes none fit
 LARGEST_NOISE_FACTOR = 9.0
@@ -61,9 +63,6 @@ OTHER_SIGMAS = 2.0
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
 LONGEST_JUMP = 60.0
-#: s for which the displacements of an input that was wrong have to be right before it is used again: on a straight
-#: street other axes may fit, too
-READMITTED_AFTER = 20.0
 #: s without a fix after which the fixes no longer confirm the velocity
 LONGEST_WITHOUT_FIX = 10.0
 
@@ -75,6 +74,12 @@ def has_displacement(kind):
 
 
 @njit(_nrt=False)
+def is_forward_speed(kind):
+    """Whether measurements of this kind begin with a forward speed, as that of wheels: a speed or an odometry."""
+    return kind == Kind.SPEED or kind == Kind.TWIST
+
+
+@njit(_nrt=False)
 def factor_and_limits(mem, r, at, n, dimensions):
     """Factor on the covariance of the input at `at`, learned from its innovation, too; how many of it tell no more than
     one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components that are judged together, 1
@@ -82,24 +87,25 @@ def factor_and_limits(mem, r, at, n, dimensions):
     """
     own, kind, time = seen_of(mem, r, at), int(mem[at + Event.KIND]), mem[at + Event.TIME]
     _note_wrong_displacement(mem, r, at, n)
-    if is_contradicted(mem, r, at):
-        return 1.0, 1.0, REFUSE_ALL
-    if has_displacement(kind) and mem[own + Seen.FITTED] < 0.0:  # used again, maybe not as the one it was
-        mem[own + Seen.FITTED] = 0.0
-        _make_error_uncertain(mem, at, n, own)
     since = time - mem[own + Scale.TIME]
-    if _is_uncompared(mem, r, at):
+    if not is_contradicted(mem, r, at) and _is_uncompared(mem, r, at):
         return _before_comparison(mem, at, own, since)
     correlation = SPEED_CORRELATION if is_of_velocity(kind) else FIELD_CORRELATION if kind == Kind.MAGNETIC else 0.0
     density = _repeated(correlation, since)
     claimed = mem[at + Event.R_NN] if dimensions == 1 else 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     before = max(scale(mem, own), 1.0)
-    unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
+    unknown = repeats.unknown(mem, own, time) if is_forward_speed(kind) else 0.0
     noise = _noise(kind, claimed, before * claimed + unknown)
     squared, variance = _innovation(mem, r, at, n, dimensions)
+    if is_contradicted(mem, r, at):
+        if not _is_right_again(mem, r, at, n, own, squared, variance + noise):
+            return 1.0, 1.0, REFUSE_ALL
+        mem[own + Seen.FITTED] = 0.0
+        _forget_error(mem, at, n, own, squared - variance - noise)  # maybe not as the one it was
+        squared, variance = _innovation(mem, r, at, n, dimensions)
     change, expected = _change(mem, r, at, n, own, noise, variance, since)
     nis, change_nis = squared / (variance + noise), change / expected
-    if kind == Kind.SPEED and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own):
+    if is_of_velocity(kind) and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own):
         noise = max(noise, squared - variance, change)
         nis, change_nis = squared / (variance + noise), change / max(expected, noise)
     slips = has_displacement(kind) and _slips(mem, own, kind, time, since, max(nis, change_nis))
@@ -122,8 +128,14 @@ def factor_and_limits(mem, r, at, n, dimensions):
     factor = max(scale(mem, own), 1.0) + unknown / claimed
     if has_displacement(kind):
         fitted = _has_fitted(mem, own, kind, time)
-        refused = _refuses(mem, r, at, n, own, time, since, squared, variance, nis, change, change_nis, slips,
-                           confirmed)
+        if _fits(mem, own, kind, time, since, nis, change_nis, slips):
+            refused = False
+            if confirmed and change_nis > OTHER_SIGMAS**2 and _comes_back(mem, own, kind, time, since):
+                _raise_error(mem, at, n, change)
+            _note_fitted(mem, r, at, n, own, variance, since)
+        else:
+            refused = _refuses(mem, at, n, own, since, squared, _is_far_off(kind, max(nis, change_nis)), slips,
+                               confirmed)
         if refused or confirmed or fitted:  # one by one each is judged by what it claims itself
             gate = GATE * math.sqrt((variance + noise) / (variance + factor * claimed))
             return factor, density, REFUSE_ALL if refused else gate
@@ -172,7 +184,7 @@ def _change(mem, r, at, n, own, noise, variance, since):
     wheel that begins to slip is found though the state is less certain than the wheel. noise: variance of the input.
     """
     gain, kind = _gain(since), mem[at + Event.KIND]
-    is_judged = (kind == Kind.SPEED or kind == Kind.TWIST) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
+    is_judged = is_forward_speed(kind) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
     change = _first(mem, r, at, n) - mem[own + Seen.LEVEL] if is_judged else 0.0
     return change**2, noise * 2.0 / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
 
@@ -190,18 +202,19 @@ def _first(mem, r, at, n):
 
 
 @njit(_nrt=False)
-def _note_fitted(mem, r, at, n, own, variance, since, anew):
-    """Note that the input fits: time, level of its innovation and variance of the state. anew: it has not for long."""
-    gain = 1.0 if anew else _gain(since)
-    mem[own + Seen.FITTED] = mem[at + Event.TIME]
+def _note_fitted(mem, r, at, n, own, variance, since):
+    """Note that the input fits: time, level of its innovation and variance of the state."""
+    kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
+    gain = _gain(since) if _has_fitted(mem, own, kind, time) else 1.0
+    mem[own + Seen.FITTED] = time
     mem[own + Seen.LEVEL] += gain * (_first(mem, r, at, n) - mem[own + Seen.LEVEL])
     mem[own + Seen.LEVEL_VARIANCE] += gain * (variance - mem[own + Seen.LEVEL_VARIANCE])
 
 
 @njit(_nrt=False)
 def _alternates(mem, r, at, n, own):
-    """Whether a speed that is far off was so on the other side within LONGEST_SLIP: wheels that slip are too fast or
-    too slow for a while, so this is noise, however large, from which its scale is learned."""
+    """Whether a speed, velocity or odometry that is far off was so on the other side within LONGEST_SLIP: wheels that
+    slip are too fast or too slow for a while, so this is noise, however large, from which its scale is learned."""
     side, other = (Seen.ABOVE, Seen.BELOW) if _first(mem, r, at, n) > 0.0 else (Seen.BELOW, Seen.ABOVE)
     time = mem[at + Event.TIME]
     mem[own + side] = time
@@ -227,7 +240,7 @@ def _has_fitted(mem, own, kind, time):
 def _goes_on_slipping(mem, own, kind, time, since):
     """Whether a speed, velocity or odometry that has fitted lately has not done so for SHORTEST_SLIP."""
     return (is_of_velocity(kind) and _has_fitted(mem, own, kind, time)
-            and time - mem[own + Seen.FITTED] > max(SHORTEST_SLIP, 1.5 * since))
+            and time - mem[own + Seen.FITTED] > max(SHORTEST_SLIP, FOLLOWS * since))
 
 
 @njit(_nrt=False)
@@ -242,53 +255,94 @@ def _slips(mem, own, kind, time, since, nis):
 
 
 @njit(_nrt=False)
-def _refuses(mem, r, at, n, own, time, since, squared, variance, nis, change, change_nis, slips, confirmed):
-    """Whether a speed, velocity, odometry or heading is refused: it slips, or is far off for longer than a slip lasts
-    while fixes confirm the state, by more than its constant error can be. Notes that it has fitted, and ends its
-    displacement where it slips.
+def _fits(mem, own, kind, time, since, nis, change_nis, slips):
+    """Whether a speed, velocity, odometry or heading fits the state; of one that has not fitted for SHORTEST_SLIP, the
+    change of the innovation has to fit, too. nis, change_nis: squares of both over their variances."""
+    if not _has_fitted(mem, own, kind, time):
+        return nis < ROBUST**2
+    follows = time - mem[own + Seen.FITTED] < FOLLOWS * since  # the message before this one has fitted
+    return nis < ROBUST**2 and not slips and (follows or change_nis < ROBUST**2)
 
-    squared, change: of the innovation and of its change, squared. nis, change_nis: over their variances. variance: of
-    the state in the innovation.
-    """
-    kind, error = int(mem[at + Event.KIND]), _constant_error(mem, at)
-    lasts, far_off = _goes_on_slipping(mem, own, kind, time, since), _is_far_off(kind, max(nis, change_nis))
-    fitted, anew = mem[own + Seen.FITTED], not _has_fitted(mem, own, kind, time)
-    latest_fitted = time - fitted < 1.5 * since  # the message before this one, and not only an earlier one
-    if nis < ROBUST**2 and (anew or not slips and (latest_fitted or change_nis < ROBUST**2)):
-        is_other = change_nis > OTHER_SIGMAS**2
-        if confirmed and is_other and fitted > 0.0 and (lasts or anew and since < displacement.LONGEST_PAUSE):
-            _raise_error(mem, at, n, own, change)
-        _note_fitted(mem, r, at, n, own, variance, since, anew)
-        return False
+
+@njit(_nrt=False)
+def _comes_back(mem, own, kind, time, since):
+    """Whether a speed, velocity, odometry or heading that fits has not done so in messages before this one."""
+    if _has_fitted(mem, own, kind, time):
+        return _goes_on_slipping(mem, own, kind, time, since)
+    return mem[own + Seen.FITTED] > 0.0 and since < displacement.LONGEST_PAUSE
+
+
+@njit(_nrt=False)
+def _refuses(mem, at, n, own, since, squared, far_off, slips, confirmed):
+    """Whether a speed, velocity, odometry or heading that does not fit is refused: it slips, or is far off for longer
+    than a slip lasts while fixes confirm the state, by more than its constant error can be. The latter makes it wrong
+    until it `_is_right_again`. squared: of the innovation."""
+    kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
     if confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0:  # no slip lasts for so long
-        if error >= 0 and squared < (LARGEST_ERROR * mem[int(mem[Head.SCRATCH_AT]) + n * n + error]) ** 2:
-            _make_error_uncertain(mem, at, n, own)
+        if _may_be_constant(mem, at, n, squared):
+            _forget_error(mem, at, n, own, squared)
             return False
-        mem[own + Seen.FITTED] = 0.0
+        mem[own + Seen.FITTED] = -time
         displacement.forget(mem, own)
         return True
-    if lasts and far_off and kind != Kind.VELOCITY:
+    if far_off and kind != Kind.VELOCITY and _goes_on_slipping(mem, own, kind, time, since):
         displacement.interrupt(mem, own)
     return slips
 
 
 @njit(_nrt=False)
-def _raise_error(mem, at, n, own, change):
-    """The slip of the input at `at` is over, or its constant error has become another one while it did not fit: the
-    variance of that error is raised by what would explain the change of the innovation squared."""
-    error, p = _constant_error(mem, at), int(mem[Head.SCRATCH_AT])
-    h = mem[p + n * n + error] if error >= 0 else 0.0
-    if h != 0.0:
-        mem[p + (n + 1) * error] += min(change / h**2, LARGEST_ERROR**2)
+def _may_be_constant(mem, at, n, squared):
+    """Whether a constant error of the input at `at` may be as large as its innovation, squared."""
+    error = _constant_error(mem, at)
+    return error >= 0 and squared < (LARGEST_ERROR * mem[int(mem[Head.SCRATCH_AT]) + n * n + error]) ** 2
 
 
 @njit(_nrt=False)
-def _make_error_uncertain(mem, at, n, own):
-    """The constant error of the input at `at`, where it has one, may have become another one; what its displacements
-    have shown is of the one before, and what seemed to be noise may have been that."""
+def _is_right_again(mem, r, at, n, own, squared, expected):
+    """Whether an input that was wrong is right again: its displacements are, or it has fitted the state, which it has
+    not misled since then, for SPEED_CORRELATION where an error of LARGEST_ERROR would not have fitted. Notes since when
+    it fits; one that does not has no displacement.
+
+    squared, expected: of the innovation, and its variance.
+    """
+    kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
+    if mem[own + Seen.FITTED] == -time:  # its displacements are wrong
+        return False
+    if is_of_heading(kind):  # the state's heading may be what it has made of it
+        return displacement.is_compared(mem, own)
+    if squared > ROBUST**2 * expected and not _may_be_constant(mem, at, n, squared):
+        mem[own + Seen.FITTED] = -time
+        displacement.interrupt(mem, own)
+        return False
+    if displacement.is_compared(mem, own):
+        return True
+    speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
+    if ROBUST**2 * expected > (LARGEST_ERROR * speed) ** 2:
+        mem[own + Seen.FITTED] = -time
+    if time + mem[own + Seen.FITTED] < SPEED_CORRELATION:
+        return False
+    displacement.accept(mem, own)
+    return True
+
+
+@njit(_nrt=False)
+def _raise_error(mem, at, n, squared):
+    """The constant error of the input at `at`, where it has one, may have become another one: its variance is raised by
+    what would explain that the innovation, squared, has changed by so much."""
+    if squared > 0.0 and _may_be_constant(mem, at, n, squared):
+        error, p = _constant_error(mem, at), int(mem[Head.SCRATCH_AT])
+        mem[p + (n + 1) * error] += squared / mem[p + n * n + error] ** 2
+
+
+@njit(_nrt=False)
+def _forget_error(mem, at, n, own, squared):
+    """The same by what would explain the innovation, squared, and the displacements, beyond what is expected; these are
+    of the error before, and so may be what seemed to be noise."""
     error = _constant_error(mem, at)
     if error >= 0:
-        mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error] += LARGEST_ERROR**2
+        mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error] += min(displacement.squared_share(mem, own), LARGEST_ERROR**2)
+        _raise_error(mem, at, n, squared)
+        mem[own + Seen.ABOVE] = mem[own + Seen.BELOW] = 0.0
         displacement.forget_share(mem, own)
         reopen(mem, own, 1.0)
 
@@ -342,16 +396,14 @@ def _constant_error(mem, at):
     """Index of the state that is the constant error of the input at `at`, -1: none: scale factor error of a speed or an
     odometry, offset of a heading."""
     kind = mem[at + Event.KIND]
-    is_one = kind == Kind.SPEED or kind == Kind.TWIST or kind == Kind.HEADING
+    is_one = is_forward_speed(kind) or kind == Kind.HEADING
     return int(mem[at + Event.STATE]) if is_one else -1
 
 
 @njit(_nrt=False)
 def is_contradicted(mem, r, at):
-    """Whether the displacements of the input of the event at `at` contradict those of the fixes, or did so lately."""
-    fitted = mem[seen_of(mem, r, at) + Seen.FITTED]
-    return (has_displacement(int(mem[at + Event.KIND])) and fitted < 0.0
-            and mem[at + Event.TIME] + fitted < READMITTED_AFTER)
+    """Whether the input of the event at `at` has contradicted the fixes, and has not been right again since then."""
+    return has_displacement(int(mem[at + Event.KIND])) and mem[seen_of(mem, r, at) + Seen.FITTED] < 0.0
 
 
 @njit(_nrt=False)
@@ -366,7 +418,8 @@ def _note_wrong_displacement(mem, r, at, n):
         tolerated = displacement.SHARE_SIGMAS * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
         if mem[own + Seen.FITTED] < 0.0:  # refused already: it may be one with another constant error
             tolerated = max(tolerated, LARGEST_ERROR)
-    if displacement.differs(mem, own, kind, tolerated):
+    begun_anew = mem[own + Seen.FITTED] >= 0.0 and mem[own + Seen.COMPARED] < 0.0
+    if begun_anew or displacement.differs(mem, own, kind, tolerated):
         # it has misled the state where it was used since the fix before: one that was refused has not
         fitted = mem[own + Seen.FITTED]
         if fitted > max(mem[own + Seen.START] - displacement.LONGEST_PAUSE, 0.0):
