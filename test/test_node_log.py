@@ -93,9 +93,9 @@ def test_a_state_that_lasts_is_said_again_but_for_the_good_one(clock):
         if line:
             said[second] = line
     assert lasted == 129.0
-    assert said == {0: 'state: waiting (waiting for a fix on /gps/fix)',
-                    30: 'state: still waiting, for 30 s (waiting for a fix on /gps/fix)',
-                    60: 'state: still waiting, for 60 s (waiting for a fix on /gps/fix)',
+    assert said == {0: 'state: waiting for a fix on /gps/fix',
+                    30: 'state: still waiting for a fix on /gps/fix, for 30 s',
+                    60: 'state: still waiting for a fix on /gps/fix, for 60 s',
                     70: 'state: fusing after waiting for 70 s (running)'}
 
 

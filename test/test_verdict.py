@@ -392,8 +392,8 @@ def test_each_parameter_that_is_changed_is_told_with_its_reason():
         remarks=['It is no noise: positions are predicted better with imu.adapt_noise: false.'])
     # then the effect is told as such, and of the others what is set and why
     level, switch = settings_texts(d)
-    assert level == ('corrected.yaml sets gyroscope.gauss_markov.sigma to [0.000316]: noise level with which this '
-                     'drive is predicted best: 0.316 times as configured, [0.001].')
+    assert level == ('corrected.yaml sets gyroscope.gauss_markov.sigma to [0.000316]: with this noise level the '
+                     'positions are predicted best; it is 0.316 times the configured one, [0.001].')
     assert switch.startswith('corrected.yaml sets imu.adapt_noise to false: It is no noise')
     assert switch.endswith('before: true.')
 
@@ -436,3 +436,14 @@ def test_what_a_direct_look_shows_stands_behind_what_it_is():
     # then the line begins with what it is, and has three digits
     assert text.startswith('imu_repeats: IMU samples come twice: 2 % of the samples repeat. Set the driver to its')
     assert 'to [0.0115, 0.0115, 0.0115] (it was [0.00262, 0.00262, 0.00262])' in text
+
+
+def test_the_error_that_the_headline_tells_is_not_repeated_on_the_page():
+    from mems_ins_fusion.reports.answer import GOOD, Answer
+
+    # given a headline with the error, and lines of all durations
+    cost = ['in 10 s 2 m; held in 14 of 14', 'in 30 s 5 m; held in 14 of 14', 'in 60 s 9 m; held in 13 of 14']
+    for headline, repeated in (('Keep your parameters: in 30 s 5 m.', False), ('Keep your parameters.', True)):
+        page = Answer(GOOD, headline, cost=cost).html()
+        # then the middle one is a line of its own only where the headline does not contain it
+        assert ('<b>error:</b>' in page) == repeated, page

@@ -35,7 +35,7 @@ LONGEST_GAP = 30.0  # s, longest time without a fix that is not remarked on: suc
 AT_BOUND = 0.95
 #: what shows how small a noise level is, by its name; else _AT_REST
 _SHOWN_BY = {'gnss.sigma': 'The filter learns it from the fixes (gnss.adapt_sigma)'}
-_AT_REST = 'A record at rest shows it (configure)'
+_AT_REST = 'A recording at rest shows how large it is (configure)'
 MOUNTING = 'mounting_rotation'
 #: why a finding is reported but not added
 NO_PROOF = 'no smaller error is proven with it'
@@ -437,14 +437,13 @@ def _noise_remarks(model: Model, chosen: dict[str, float]) -> list[str]:
     for name, factor, smallest, largest, shown in levels:
         if factor > AT_BOUND * largest and name != 'gnss.sigma':
             said.append(
-                f'{name} would have to be {factor:.0f} times as large as configured to explain this drive: no sensor '
-                'is so much noisier than its settings, so this stands for something that is not in the library '
+                f'{name} would have to be {factor:.0f} times as large as configured to explain this drive. No sensor '
+                'is so much noisier than its settings: the cause is something that is not in the library of effects '
                 '(vibration of the mount, samples that repeat, a scale or an axis that is not what it says).')
         if shown and smallest < 1.0 and factor * AT_BOUND < smallest:
             said.append(
-                f'{name} would have to be {factor:.2g} times as large as configured, or smaller still, to explain this '
-                'drive: that is the smallest that is tried, so how small it is does not show. '
-                f'{_SHOWN_BY.get(name, _AT_REST)}.')
+                f'{name} would have to be {factor:.2g} times as large as configured, or smaller, to explain this drive '
+                f'(smaller values are not tried). {_SHOWN_BY.get(name, _AT_REST)}.')
     return said
 
 

@@ -56,7 +56,7 @@ def story(result: Configuration) -> list[str]:
         lines.append(f'mounting: roll {angles[0]:.1f} +- {sigma[0]:.1f} deg, pitch {angles[1]:.1f} +- {sigma[1]:.1f} '
                      f'deg, yaw {yaw}{" deg" if found.yaw_known else ""}')
         if found.offset is not None and found.offset.shown:
-            lines.append(f'fixes against the IMU\'s clock: {found.lag:.3f} +- {found.lag_sigma:.3f} s')
+            lines.append(f'fixes against the IMU\'s clock: {found.lag:.3f} +- {found.lag_sigma:.3f} s{_not_set(values)}')
     return lines
 
 
@@ -70,7 +70,13 @@ def in_short(result: Configuration) -> str:
             f'{yaw} +- {math.degrees(found.sigma[2]):.1f} deg' if found.yaw_known else 'not shown')
         if found.offset is not None and found.offset.shown:
             said += f'; fixes {abs(found.lag):.3f} +- {found.lag_sigma:.3f} s {"late" if found.lag > 0 else "early"}'
+            said += _not_set(result.values)
     return shorten(f'found: {said}')
+
+
+def _not_set(values: dict) -> str:
+    """That a time offset of less than two sigma is not in the file."""
+    return '' if values['gnss.time_offset'] else ' (not set)'
 
 
 def answer(result: Configuration, bags: list[str], output: str) -> Answer:

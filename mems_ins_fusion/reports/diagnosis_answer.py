@@ -191,8 +191,8 @@ def _steps(d: Diagnosis, output: str, bags: Sequence[str], params_file: str, set
         steps.append(Step('The drives contradict each other in what is left alone above: find out what was changed '
                           'between them, and diagnose them apart.'))
     if d.changed and not d.better:
-        steps.append(Step('What it changes is proven by fixes that it was not fitted to, or is what the recording asks '
-                          'for, and no error is larger for certain. Compare both on another drive:',
+        steps.append(Step('Each change has its reason above it in corrected.yaml, and no error is larger for certain. '
+                          'Compare both files on another drive:',
                           f'python -m mems_ins_fusion compare {shlex.quote(params_file)} '
                           f'{shlex.quote(f"{output}/corrected.yaml")} --bag ANOTHER_DRIVE --output compared'))
     if settings and not d.better:

@@ -110,13 +110,13 @@ def errors(diagnosis: Diagnosis):
 
 
 def measured_stages(diagnosis: Diagnosis) -> dict[str, Measured]:
-    """The measured errors by stage, without a stage of noise levels if these are the given ones, and without the last
-    stage if nothing is better."""
-    before, fitted = diagnosis.before, diagnosis.fitted
-    stages = {'before': before}
-    if not np.array_equal(before.continuous.horizontal, fitted.continuous.horizontal):
-        stages['fitted'] = fitted
-    return stages | ({'after': diagnosis.after} if diagnosis.changed else {})
+    """The measured errors by stage, without a stage of noise levels if these are the given ones or the only change, and
+    without the last stage if nothing is better."""
+    stages = {'before': diagnosis.before} | ({'after': diagnosis.after} if diagnosis.changed else {})
+    fitted = diagnosis.fitted.continuous.horizontal
+    if any(np.array_equal(fitted, stage.continuous.horizontal) for stage in stages.values()):
+        return stages
+    return {'before': diagnosis.before, 'fitted': diagnosis.fitted, **stages}
 
 
 def _longest(measured: Measured) -> Outages | None:
