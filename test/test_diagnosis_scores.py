@@ -578,7 +578,7 @@ def test_what_corrected_yaml_holds(answers, gain, chosen):
     tried = [(Tried(Correction(effects, [effects], {}, True), one), Verdict(answers[0])),
              (Tried(levels, one, (without,)), Verdict(answers[1])),
              (Tried(kept, one), Verdict(answers[2]))]
-    correction, _, verdict, _, _ = _chosen(tried, one, {})
+    correction, _, verdict, _, _ = taken(tried, one, {})
     assert correction is tried[chosen][0].correction
     assert verdict.answer == answers[0 if chosen == 2 else chosen]  # or that on the best of what was tried
 
@@ -597,11 +597,11 @@ def test_where_parameters_stay_what_is_named_makes_sense(first, second, named):
     tried = [(Tried(Correction(setting, [setting], {}, False, beside=(kept,)), one, (one,)), verdict(first)),
              (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,)), one, (one,)),
               verdict(second)), (Tried(kept, one), Verdict('same'))]
-    correction, _, said, about, _ = _chosen(tried, one, {})
+    correction, _, said, about, _ = taken(tried, one, {})
     assert correction is kept and about is tried[named][0] and said == tried[named][1]
     # and where errors are smaller with it for certain, but a part of it is not proven, it is not said to be better
     tried[named] = tried[named][0], verdict((first, second)[named], 'better')
-    assert _chosen(tried, one, {})[2] == Verdict('cannot_tell', tried[named][1].changes, why=(NOT_EACH,))
+    assert taken(tried, one, {})[2] == Verdict('cannot_tell', tried[named][1].changes, why=(NOT_EACH,))
 
 
 def test_smaller_errors_go_before_better_predictions():
@@ -616,8 +616,8 @@ def test_smaller_errors_go_before_better_predictions():
               Verdict('better')),
              (Tried(kept, unsure), Verdict('same'))]
     # then these are in corrected.yaml, and the setting where there are no such levels
-    assert _chosen(tried, unsure, {})[0].values == noise
-    assert _chosen([tried[0], tried[2]], unsure, {})[0].values == setting
+    assert taken(tried, unsure, {})[0].values == noise
+    assert taken([tried[0], tried[2]], unsure, {})[0].values == setting
 
 
 @pytest.mark.parametrize('alone, both, chosen', [
@@ -634,7 +634,7 @@ def test_what_only_together_makes_errors_smaller_is_kept_together(alone, both, c
     options = {'both': levelled, 'alone': effects, 'given': Correction(given, [given], {}, False)}
     tried = [(Tried(levelled, one, (one,)), Verdict(both)), (Tried(effects, one), Verdict(alone)),
              (Tried(options['given'], one), Verdict('same'))]
-    assert _chosen(tried, one, {})[0] is options[chosen]
+    assert taken(tried, one, {})[0] is options[chosen]
 
 
 @pytest.mark.parametrize('error, chosen', [(1.0, False), (1.5, True)])
@@ -646,18 +646,34 @@ def test_standstills_that_cannot_be_told_from_motion_need_a_proof_not_to_do_with
               Verdict('cannot_tell')), (Tried(kept, outages_with(1.0)), Verdict('same'))]
     assert tried[0][0].correction.values == off
     # then corrected.yaml does without them where it does no harm, if the recording asks for that
-    found = _chosen(tried, outages_with(1.0), {'vehicle.zero_velocity': False})[0].values
+    found = taken(tried, outages_with(1.0), {'vehicle.zero_velocity': False})[0].values
     assert found['vehicle.zero_velocity'] == chosen
     # and else only with a proof
-    assert _chosen(tried, outages_with(1.0), {})[0].values == used
+    assert taken(tried, outages_with(1.0), {})[0].values == used
     # the same beside an effect with which errors are a third, and which predicts best with them
     late = {**used, 'gnss.time_offset': 0.2}
     effect = Correction(late, [late], {}, True)
     tried = [(Tried(effect, outages_with(1.0)), Verdict('better')),
              (Tried(effect.switched('vehicle.zero_velocity'), outages_with(error), (outages_with(1.0),)),
               Verdict('better')), (Tried(kept, outages_with(3.0)), Verdict('same'))]
-    found = _chosen(tried, outages_with(3.0), {'vehicle.zero_velocity': False})[0].values
+    found = taken(tried, outages_with(3.0), {'vehicle.zero_velocity': False})[0].values
     assert found == {**late, 'vehicle.zero_velocity': chosen}
+
+
+@pytest.mark.parametrize('verdict', ['better', 'cannot_tell'])
+def test_corrected_yaml_has_no_values_with_which_errors_are_larger_than_with_those_of_the_parts(verdict):
+    # given an effect of which a recording tells a range: errors with the values of each part are the same or smaller,
+    # those with the values of all data twice as large
+    given, one = table.check({}), outages_with(1.0)
+    wander = {**given, 'gnss.coloured_noise.sigma': 2.5}
+    part = {**given, 'gnss.coloured_noise.sigma': 1.6}
+    tried = [(Tried(Correction(wander, [part, part], {}, True), outages_with(0.9)), Verdict(verdict)),
+             (Tried(Correction(given, [given], {}, False), one), Verdict('same'))]
+    # then it is told, with the reason, and not set
+    correction, *_, against = _chosen(tried, one, {}, lambda correction: outages_with(2.0))
+    assert correction.values == given and 'grows' in against
+    # and it is set where errors with the values of all data are as with those of the parts
+    assert taken(tried, one, {})[0].values == wander
 
 
 def test_effects_that_predict_worse_for_certain_are_told():
@@ -667,10 +683,16 @@ def test_effects_that_predict_worse_for_certain_are_told():
     tried = [(Tried(Correction(late, [late], {}, True), outages_with(1.0, 4.0)), Verdict('cannot_tell')),
              (Tried(Correction(given, [given], {}, False), one), Verdict('same'))]
     # then what was given stays, and the reason is said
-    correction, *_, against = _chosen(tried, one, {})
+    correction, *_, against = taken(tried, one, {})
     assert correction.values == given and against == PREDICTS_WORSE
     tried[0] = Tried(tried[0][0].correction, one), Verdict('cannot_tell')
-    assert _chosen(tried, one, {})[0].values == late
+    assert taken(tried, one, {})[0].values == late
+
+
+def taken(tried, before, wanted):
+    """What is chosen for corrected.yaml where its values make the errors of the parts."""
+    return _chosen(tried, before, wanted, lambda correction: next(
+        one.errors for one, _ in tried if one.correction is correction))
 
 
 def outages_with(scale, sigma=1.0, count=36, largest=0.0, seed=1):
@@ -763,11 +785,11 @@ def test_noise_levels_count_by_their_own_gain_whether_the_offset_is_given_or_fou
     levels = Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(replace(effects, effects=False),))
     # when the offset is found, which both together prove, and when the params file has it already
     tried = [Tried(both, levelled, (known,)), Tried(effects, known), Tried(Correction(given, [given], {}, False), late)]
-    found = _chosen([(t, judged(late, t.errors, t.correction.effects)) for t in tried], late, {})
+    found = taken([(t, judged(late, t.errors, t.correction.effects)) for t in tried], late, {})
     tried = [Tried(levels, levelled, (known,)), Tried(replace(effects, effects=False), known)]
-    after = _chosen([(t, judged(known, t.errors)) for t in tried], known, {})
+    after = taken([(t, judged(known, t.errors)) for t in tried], known, {})
     # and when the offset alone is not proven
-    alone = _chosen([(Tried(both, levelled, (known,)), Verdict('better')), (Tried(effects, known), Verdict('worse')),
+    alone = taken([(Tried(both, levelled, (known,)), Verdict('better')), (Tried(effects, known), Verdict('worse')),
                      (Tried(Correction(given, [given], {}, False), late), Verdict('same'))], late, {})
     # then it is kept with the noise levels with which it is: what was given is worse for certain
     assert (alone[0].values, alone[2].answer) == (noise, 'better')

@@ -1,7 +1,7 @@
 """From the result of a search to corrected parameters: which corrections are proven together, and the report on it."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,7 +103,7 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
     many = candidates(before, [one.errors for one in tried[:-1]])
     correction, after, verdict, judged_on, against = _chosen([
         (one, judged(before, one.errors, one.correction.effects, many)) for one in tried],
-        before, trials.without_standstills)
+        before, trials.without_standstills, lambda one: trials.errors([one.values], full=True))
     comparison = compared(before, judged_on.errors)
     if correction.values != given:  # one filter may start later than the other
         before, after = in_common(before, after), in_common(after, before)
@@ -144,19 +144,23 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
 
 
 def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
-            wanted: dict[str, bool]) -> tuple[Correction, Measured, Verdict, Tried, str]:
+            wanted: dict[str, bool], as_written: Callable[[Correction], Measured],
+            ) -> tuple[Correction, Measured, Verdict, Tried, str]:
     """The correction for corrected.yaml.
 
     tried: the best predictions first, the given parameters last. wanted: settings that the recording asks for
-    (`TrialRuns.without_standstills`); preferred if they do no harm.
+    (`TrialRuns.without_standstills`); preferred if they do no harm. as_written: errors with the values of
+    corrected.yaml, which are fitted to all data.
 
     Corrections with effects come first, because other noise levels can hide effects; then those with certainly smaller
-    errors, which matter more to a user than better predictions. The first one is taken that meets two conditions:
+    errors, which matter more to a user than better predictions. The first one is taken that meets three conditions:
     - Each of its parts is proven by itself, so that a params file that has the effects already gets the same noise
       levels as one that has not. Effects are proven by the likelihood of held-out data, noise levels and settings
       against the same filter without them (`_each_part_proven`).
     - Its errors are certainly smaller, or no error is larger. The latter is enough, because errors against withheld
       fixes need not show an effect: fixes that are stamped late are late where they are withheld, too.
+    - No error is larger with the values of corrected.yaml. They differ from those of the parts where the recording
+      leaves a range open; on the data that they were fitted to, errors are smaller than elsewhere, if anything.
     If there is none, the first one with effects and certainly smaller errors is taken, as the given parameters are
     worse; else the given parameters.
 
@@ -170,6 +174,7 @@ def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
     for one, verdict in [*stand, *(f for f in ordered if f[0].correction.effects and f[1].answer == BETTER)]:
         worse = '' if verdict.answer == BETTER else _worse(before, one.errors) or (
             NO_PROOF if verdict.answer == WORSE else '')
+        worse = worse or _worse(before, as_written(one.correction))
         if not worse:
             return one.correction, one.errors, verdict, one, against or NO_PROOF
         if one.correction.effects:

@@ -56,7 +56,8 @@ def story(result: Configuration) -> list[str]:
         lines.append(f'mounting: roll {angles[0]:.1f} +- {sigma[0]:.1f} deg, pitch {angles[1]:.1f} +- {sigma[1]:.1f} '
                      f'deg, yaw {yaw}{" deg" if found.yaw_known else ""}')
         if found.offset is not None and found.offset.shown:
-            lines.append(f'fixes against the IMU\'s clock: {found.lag:.3f} +- {found.lag_sigma:.3f} s{_not_set(values)}')
+            lines.append(f'fixes against the IMU\'s clock: {found.lag:.3f} +- {found.lag_sigma:.3f} s'
+                         f'{_not_set(values)}')
     return lines
 
 

@@ -207,8 +207,8 @@ def origin(d: Diagnosis, name: str) -> str:
         return 'hashes of the recordings that the values were fitted to'
     before = yaml_value(rounded_value(d.values[name]))
     if name in d.noise:
-        return (f'with this noise level the positions are predicted best; it is {d.noise[name]:.3g} times the configured one, '
-                f'{before}')
+        return ('with this noise level the positions are predicted best; '
+                f'it is {d.noise[name]:.3g} times the configured one, {before}')
     text = '; '.join(parameters_text(f) for f in d.findings if f.added and name in f.changes)
     text = text or next((remark.rstrip('.') for remark in d.remarks if name in remark), 'changed with the effects')
     return f'{text}; before: {before}'

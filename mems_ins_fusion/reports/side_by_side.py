@@ -287,8 +287,8 @@ def report_page(first: Result, second: Result, rows: list[Row], answered: Answer
         [(f'{r.recording}, ' + ' / '.join(dict.fromkeys(colours.MODEL_NAMES[m] for m in r.models)), _what(r),
           r.count or None, *_numbers(r), _span(r, level), *r.median,
           '–' if None in r.within else ' / '.join(number(share, 2) for share in r.within)) for r in rows],
-        f'A: {names[0]}. B: {names[1]}. Errors: root mean square over the epochs that both have, or mean of the largest '
-        'error in the outages that both have.', 3)
+        f'A: {names[0]}. B: {names[1]}. Errors: root mean square over the epochs that both have, or mean of the '
+        'largest error in the outages that both have.', 3)
     drawn = layers(first, second, rows)
     return html.page(f'{names[0]} against {names[1]}', [
         html.section('Which is better?', answered.html(), *([track(drawn, _still(drawn))] if drawn else []), table),

@@ -37,8 +37,8 @@ def where_text(change: Change) -> str:
 
 
 def change_text(change: Change, level: float, before_is: str = '') -> str:
-    """A change with its interval: the error, after instead of before, and the 95 % interval of the difference. before_is:
-    name of the first one, where it is not obvious."""
+    """A change with its interval: the error, after instead of before, and the 95 % interval of the difference.
+    before_is: name of the first one, where it is not obvious."""
     before, after = (f'{number(v, _digits(change))} m' for v in (change.before, change.after))
     said = f'{where_text(change)} the error is {after} instead of {before}{f" {before_is}" if before_is else ""}'
     interval = change.interval(level)
