@@ -184,7 +184,7 @@ def record(folder: Path, bag: str, rate: float, kills: list[float], assignments:
 def replay(folder: Path, bag: str, assignments: list[str]) -> None:
     """The same without ROS."""
     from mems_ins_fusion.diagnosis.applying import driven
-    from mems_ins_fusion.diagnosis.watch import Watch
+    from mems_ins_fusion.diagnosis.watch import RecordingWatch
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings.reading import read_recording
 
@@ -192,7 +192,7 @@ def replay(folder: Path, bag: str, assignments: list[str]) -> None:
     given = {name: value for name, value in parameters(assignments).items() if name in own}
     values = table.check({'imu_topic': '/imu/data', 'gnss_topic': '/gps/fix', **given})
     recording = read_recording(bag, values['imu_topic'], values['gnss_topic'])
-    watch = Watch(recording, values) if values['diagnosis.online'] != 'off' else None
+    watch = RecordingWatch(recording, values) if values['diagnosis.online'] != 'off' else None
     began = time.perf_counter()
     run = driven(recording, values, watch)
     folder.mkdir(parents=True, exist_ok=True)

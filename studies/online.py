@@ -22,7 +22,7 @@ from vehicle import FIXES, simulated
 
 from mems_ins_fusion.diagnosis.applying import Driven, driven
 from mems_ins_fusion.diagnosis.quantity import COARSE
-from mems_ins_fusion.diagnosis.watch import Watch
+from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.filter.runs.odometry import POSITION
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
@@ -53,7 +53,7 @@ def recorded(row: tuple, seed: int, minutes: float):
     return replace(recording, gnss=replace(fixes, stamp=stamp), speed=None, velocity=None, heading=None), offset
 
 
-def error(recording, values: dict, watch: Watch | None = None) -> tuple[float, Driven]:
+def error(recording, values: dict, watch: RecordingWatch | None = None) -> tuple[float, Driven]:
     """RMS horizontal error of the last part, m, and the drive."""
     truth, datum = recording.reference, (recording.reference.latitude[0], recording.reference.longitude[0], 0.0)
     run = driven(replace(recording, reference=None), values, watch, datum, every=10)
@@ -68,7 +68,7 @@ def of_drive(row: tuple, seed: int, minutes: float):
     """The row, its offset, what was said and applied, and three errors."""
     recording, offset = recorded(row, seed, minutes)
     values = table.check({'diagnosis.online': 'apply'})
-    watch = Watch(replace(recording, reference=None), values)
+    watch = RecordingWatch(replace(recording, reference=None), values)
     with_offset = {**values, 'gnss.time_offset': offset if row[3] == 1.0 else 0.0}
     as_given, _ = error(recording, values)
     apply, run = error(recording, values, watch)

@@ -25,7 +25,7 @@ from vehicle import FIXES, sensors
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.online import OTHER
 from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, Kept
-from mems_ins_fusion.diagnosis.watch import Watch
+from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Recording
@@ -100,7 +100,7 @@ def told(case: Case, receiver: str, row: tuple, seed: int, options) -> str:
     """A line of the table."""
     recording = case.recording
     values = table.check({'diagnosis.online': 'apply', 'diagnosis.share': 1.0})
-    watch = Watch(replace(recording, reference=None), values, kept=known(case, values) if options.kept else (),
+    watch = RecordingWatch(replace(recording, reference=None), values, kept=known(case, values) if options.kept else (),
                   find=None if options.find else lambda part, given: [])
     as_given, _ = error(recording, values)
     apply, run = error(recording, values, watch)

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from mems_ins_fusion.diagnosis.applying import driven
-from mems_ins_fusion.diagnosis.watch import Watch
+from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.evaluation.comparison import aiding_of, samples_to_keep, truth_of
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages
 from mems_ins_fusion.filter.config import FilterConfig
@@ -71,7 +71,7 @@ def row(name: str, data: Path) -> str:
     recording = read_recording(bag, values['imu_topic'], values['gnss_topic'], reference or None, **speed)
     fix = recording.gnss
     datum = (float(fix.latitude[0]), float(fix.longitude[0]), float(fix.height[0]))
-    watch = Watch(recording, {**values, 'diagnosis.online': 'apply'})
+    watch = RecordingWatch(recording, {**values, 'diagnosis.online': 'apply'})
     off = driven(recording, values, None, datum)
     run = driven(recording, {**values, 'diagnosis.online': 'apply'}, watch, datum)
     begin, told = int(recording.imu.stamp[0]), {}

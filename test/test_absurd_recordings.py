@@ -14,8 +14,8 @@ from mems_ins_fusion.configuration.check import judge_mounting
 from mems_ins_fusion.configuration.configure import Setting, _possible, look
 from mems_ins_fusion.configuration.mounting import deviation
 from mems_ins_fusion.diagnosis import judging
-from mems_ins_fusion.diagnosis.fit import Model, _finite
-from mems_ins_fusion.diagnosis.judgement import harm
+from mems_ins_fusion.diagnosis.fit import FittedModel, _finite
+from mems_ins_fusion.diagnosis.judgement import larger_errors
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.metrics import summary, turning_at
 from mems_ins_fusion.evaluation.outages import _fitting
@@ -109,8 +109,8 @@ def test_a_run_that_never_starts_has_no_outages():
 
 def test_a_correction_with_which_the_filter_does_not_run_is_no_correction():
     ran = {'what': 'outages of 10 s', 'count': 0, 'kept': 0.0, 'decides': True}
-    assert 'the filter runs in 0 %' in harm([ran])
-    assert harm([{**ran, 'kept': 1.0}]) == ''
+    assert 'the filter runs in 0 %' in larger_errors([ran])
+    assert larger_errors([{**ran, 'kept': 1.0}]) == ''
 
 
 def test_slopes_beyond_all_numbers_count_for_nothing():
@@ -131,19 +131,19 @@ def test_an_effect_that_has_lost_its_axes_is_refined_without_them(monkeypatch):
     def fit(problem, unknowns, x, iterations):
         assert len(unknowns) == len(x)
         fitted.append([u.name for u in unknowns])
-        return Model(problem, unknowns, np.asarray(x), np.eye(len(x)), None, None)
+        return FittedModel(problem, unknowns, np.asarray(x), np.eye(len(x)), None, None)
 
     monkeypatch.setattr(judging, 'fit', fit)
     monkeypatch.setattr(judging, 'also_determined', lambda *arguments: [])
-    monkeypatch.setattr(Model, 'likelihood', lambda self, mask: 0.0)
-    monkeypatch.setattr(Model, 'sigma', lambda self: np.ones(len(self.x)))
+    monkeypatch.setattr(FittedModel, 'likelihood', lambda self, mask: 0.0)
+    monkeypatch.setattr(FittedModel, 'sigma', lambda self: np.ones(len(self.x)))
     monkeypatch.setattr(judging, 'certainly_better', lambda one, other, gain: False)
-    monkeypatch.setattr(Model, 'moved', lambda self: self.problem)
+    monkeypatch.setattr(FittedModel, 'moved', lambda self: self.problem)
     candidate = SimpleNamespace(effect=effect, fixed=dict(effect.tried[0]), undetermined={})
-    whole = Model(Problem(), axes, np.full(len(axes), 0.1), np.eye(len(axes)), None, None)
+    whole = FittedModel(Problem(), axes, np.full(len(axes), 0.1), np.eye(len(axes)), None, None)
     judging._completed(known, candidate, whole)
     assert len(fitted) == len(effect.tried) and all(names[0] == axes[0].name for names in fitted)
-    pruned = Model(Problem(), [], np.empty(0), np.empty((0, 0)), None, None)
+    pruned = FittedModel(Problem(), [], np.empty(0), np.empty((0, 0)), None, None)
     assert judging._completed(known, candidate, pruned) == (pruned, {}) and len(fitted) == len(effect.tried)
 
 

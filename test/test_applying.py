@@ -21,7 +21,7 @@ from mems_ins_fusion.diagnosis.online import OTHER, Online
 from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
 from mems_ins_fusion.diagnosis.trial import DOUBTED, TAKEN_BACK, Trial
 from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
-from mems_ins_fusion.diagnosis.watch import Watch
+from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Nav, newest_row
@@ -334,7 +334,7 @@ def test_what_is_proven_is_applied_and_the_fixes_are_met(late, monkeypatch):
         off = run.odometry[last, :2] - np.column_stack([np.interp(*t, east), np.interp(*t, north)])
         return math.sqrt((off**2).sum(axis=1).mean()), run
     answers = iter([[finding()]])
-    watch = Watch(late, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []), look=blind)
+    watch = RecordingWatch(late, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []), look=blind)
     (applied, run), (given, _) = error(APPLY, watch), error({**APPLY, 'gnss.time_offset': OFFSET})
     assert len(run.handovers) == 1 and applied == pytest.approx(given, rel=0.2)
     assert applied < 0.5 * error(APPLY)[0] and not run.dropped
@@ -366,7 +366,7 @@ def test_what_has_become_wrong_is_dropped_within_a_minute(monkeypatch):
                                   for name, samples in recording.streams().items()})
     changed, answers = recording.imu.stamp[0] + 480 * SECOND, iter([[finding()]])
     monkeypatch.setattr(online, 'FIRST', CHUNK)
-    watch = Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, look=blind,
+    watch = RecordingWatch(recording, {**APPLY, 'diagnosis.window': 300.0}, look=blind,
                   find=lambda part, values: next(answers, []))
     run = driven(replace(recording, reference=None), APPLY, watch, every=20)
     # then the filter that ran on without it takes over within a minute, knows from when on it is right,

@@ -10,7 +10,7 @@ from filter_support import PAPER
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
 from mems_ins_fusion.diagnosis.fit import scores
-from mems_ins_fusion.diagnosis.folds import parts
+from mems_ins_fusion.diagnosis.folds import part_masks
 from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.diagnosis.judgement import objection
 from mems_ins_fusion.diagnosis.noise import noise_unknowns
@@ -88,13 +88,13 @@ def test_all_runs_are_compared_by_the_residuals_of_the_filter_as_given(pair):
 
 def test_two_drives_are_held_out_in_parts_and_three_as_wholes(problems):
     two = Drives(problems)
-    for part in parts(two):  # each part has something of each drive
+    for part in part_masks(two):  # each part has something of each drive
         assert part[two.slices[0]].any() and part[two.slices[1]].any()
     three = Drives([*problems, problems[0]])
-    shares = [[part[where].mean() for where in three.slices] for part in parts(Drives([*problems, problems[0]]))]
-    assert len(parts(two)) == 4 and len(shares) == 3
+    shares = [[part[where].mean() for where in three.slices] for part in part_masks(Drives([*problems, problems[0]]))]
+    assert len(part_masks(two)) == 4 and len(shares) == 3
     for problem in (two, three):
-        together = np.sum(parts(problem), axis=0)
+        together = np.sum(part_masks(problem), axis=0)
         assert together[problem.mask].min() >= 1 and not together[~problem.mask].any()
 
 

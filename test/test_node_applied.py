@@ -23,7 +23,7 @@ from test_online import OFFSET, SECOND, blind, finding
 
 from mems_ins_fusion.diagnosis.applying import driven
 from mems_ins_fusion.diagnosis.quantity import Kept
-from mems_ins_fusion.diagnosis.watch import Watch
+from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.nodes.state_file import StateFile
 from mems_ins_fusion.parameters import table
 
@@ -214,7 +214,7 @@ def test_a_drive_in_which_a_finding_is_dropped_has_the_bits_of_its_replay(record
         same = replace(recording, reference=None, gnss=replace(recording.gnss, **{
             name: np.array(radians) for name, radians in degrees.items()}))
         values = table.check({'diagnosis.online': 'apply'})
-        run = driven(same, values, Watch(same, values, find=blind, look=blind, kept=[kept]))
+        run = driven(same, values, RecordingWatch(same, values, find=blind, look=blind, kept=[kept]))
         dropped, = run.dropped
         assert 120.0 < (dropped.stamp - recording.imu.stamp[0]) / SECOND < 180.0
         # bit for bit as a replay does,

@@ -16,7 +16,7 @@ from .gathering import Slots
 from .quantity import Findings
 
 if TYPE_CHECKING:  # it brings all of `diagnose`, which a node has no use for
-    from .watch import Watch
+    from .watch import RecordingWatch
 
 #: chunks after its own with whose end the answer to a chunk counts. An answer takes 1 to 3 s of a core at 100 Hz, 10 to
 #: 30 s at the default share. Counted in chunks, not by the clock, so that a replay does the same at the same sample
@@ -112,7 +112,7 @@ class Driven:
     dropped: list[Dropped]
 
 
-def driven(recording: Recording, values: dict, watch: Watch | None = None, datum=None, every: int = 1) -> Driven:
+def driven(recording: Recording, values: dict, watch: RecordingWatch | None = None, datum=None, every: int = 1) -> Driven:
     """`recording` through a live filter with the checked parameters `values`, sample by sample, that goes on with what
     `watch` finds in it as a node does; None: as it is. every: samples from one odometry kept to the next."""
     kept = {} if watch is None else watch.wanted.applied

@@ -9,10 +9,10 @@ from .detection import Detection
 from .drives import Drives
 from .estimate import Estimate
 from .held_out import HeldOut
-from .measured import Measured
+from .measured import MeasuredErrors
 from .residuals import Residual
 from .tracing import Candidate
-from .unexplained import GoesWith
+from .unexplained import Correlation
 
 
 @dataclass(frozen=True)
@@ -78,11 +78,11 @@ class Diagnosis:
     corrected: dict
     verdict: Verdict  # on `corrected`; if that is `values`, on the best correction tried
     tried: str  # what `verdict` is on, in words
-    before: Measured
-    fitted: Measured
-    after: Measured
+    before: MeasuredErrors
+    fitted: MeasuredErrors
+    after: MeasuredErrors
     comparison: list[dict]  # of the errors that `verdict` is about with those before
-    rest: list[GoesWith]
+    rest: list[Correlation]
     remarks: list[str] = field(default_factory=list)
     drives: list[Diagnosis] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)

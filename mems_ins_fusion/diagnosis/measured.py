@@ -15,8 +15,8 @@ from ..evaluation.verdict import Consistency, Trust, trusted
 from ..filter.config import FilterConfig
 from ..filter.runs.replay import run, run_with_outages
 from ..samples import ImuSamples, Recording
-from .clock import GNSS, IMU, OWN, earlier, lateness_against
-from .folds import in_mask, parts
+from .clock import GNSS, IMU, OWN, lateness_against, shifted_truth
+from .folds import in_mask, part_masks
 from .problem import Problem, on_all_cores
 from .residuals import tempered
 
@@ -27,7 +27,7 @@ SMALLEST_ERROR = 0.1  # m, smallest sigma that is assumed for an error in an out
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredErrors:
     """Errors of one model: at the epochs of the truth with the fixes used, in outages, and of the predicted fixes.
 
     independent: whether there is another truth than the fixes that the filter was given. stamp, likelihood (k,): ns and
@@ -41,11 +41,11 @@ class Measured:
     independent: bool
     stamp: np.ndarray
     likelihood: np.ndarray
-    drives: dict[str, Measured] = field(default_factory=dict)
+    drives: dict[str, MeasuredErrors] = field(default_factory=dict)
     late: float = 0.0
-    timeless: Measured | None = None
+    timeless: MeasuredErrors | None = None
 
-    def select(self, epochs: Callable, fixes: np.ndarray) -> Measured:
+    def select(self, epochs: Callable, fixes: np.ndarray) -> MeasuredErrors:
         """The part at the stamps for which `epochs` returns true, with the fixes of the mask `fixes` (k,)."""
         return replace(self, continuous=self.continuous.select(epochs(self.continuous.stamp)), stamp=self.stamp[fixes],
                        likelihood=self.likelihood[fixes],
@@ -79,13 +79,13 @@ def _end_scores(outages: Outages) -> np.ndarray:
     return -0.5 * (2 * np.log(variance) + tempered(error**2 / variance, END_TAIL))
 
 
-def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Sequence[dict], durations,
+def measure_errors(problem: Problem, recording: Recording, imu: ImuSamples, models: Sequence[dict], durations,
             spacing: float, judged: Sequence[np.ndarray] | None = None,
-            between: Callable[[], None] = lambda: None, announces: bool = False) -> Measured:
+            between: Callable[[], None] = lambda: None, announces: bool = False) -> MeasuredErrors:
     """Errors in one drive of a model with parameters `models`: one set, or one for each part, fitted to the others.
 
     recording: with all fixes, for the truth. imu: the samples that the filter gets. judged: masks of the parts in which
-    errors are measured, by default those of `parts`. between: called after each model (`on_all_cores`). announces: as
+    errors are measured, by default those of `part_masks`. between: called after each model (`on_all_cores`). announces: as
     for `run_with_outages`.
     """
     first = int(problem.stamp[problem.mask][0])
@@ -95,7 +95,7 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
     if len(models) == 1:
         judged = [problem.mask]
     elif judged is None:
-        judged = parts(problem)
+        judged = part_masks(problem)
     whole = len(models) == 1
 
     def one(model):
@@ -107,12 +107,12 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
     return _joined(on_all_cores(one, zip(models, judged), between))
 
 
-def together(drives: dict[str, Measured]) -> Measured:
+def all_drives_together(drives: dict[str, MeasuredErrors]) -> MeasuredErrors:
     """The errors of all `drives` (by name) together."""
     return replace(_joined(list(drives.values())), drives=drives if len(drives) > 1 else {})
 
 
-def _joined(found: Sequence[Measured]) -> Measured:
+def _joined(found: Sequence[MeasuredErrors]) -> MeasuredErrors:
     """The errors in several parts of a drive, or in drives on one time axis, in the order of time."""
     if len(found) == 1:
         return found[0]
@@ -121,18 +121,18 @@ def _joined(found: Sequence[Measured]) -> Measured:
     durations = sorted({o.duration for m in found for o in m.outages})
     outages = [_joined_outages([o for m in found for o in m.outages if o.duration == d]) for d in durations]
     timeless = [m.timeless or m for m in found] if any(m.timeless for m in found) else []
-    return Measured(_joined_errors([m.continuous for m in found]), outages, all(m.independent for m in found),
+    return MeasuredErrors(_joined_errors([m.continuous for m in found]), outages, all(m.independent for m in found),
                     stamp[order], likelihood[order], late=float(np.mean([m.late for m in found])),
                     timeless=_joined(timeless) if timeless else None)
 
 
 def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, durations,
-         begins: np.ndarray, announces: bool) -> Measured:
+         begins: np.ndarray, announces: bool) -> MeasuredErrors:
     """One filter through the recording: errors with the fixes used, in outages, and the likelihood of each fix (f,)."""
     config, delay = FilterConfig.from_parameters(values), round(values['gnss.time_offset'] * 1e9)
     truth, clock = truth_of(recording, values), problem.reference_clock
     if recording.reference is not None and clock == GNSS:
-        truth = earlier(truth, delay)
+        truth = shifted_truth(truth, delay)
     keep = samples_to_keep(imu, truth.reference.stamp)
     coasting = None
     if durations:
@@ -142,12 +142,12 @@ def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, 
         result = run(config, imu, problem.full.gnss, aiding_of(recording), keep=keep)
     likelihood = problem.innovations(result).log_likelihood()
 
-    def against(truth: Truth, shift: int) -> Measured:
+    def against(truth: Truth, shift: int) -> MeasuredErrors:
         """Errors against `truth`, whose stamps are earlier by `shift` (ns) than the original ones; the errors get the
         original stamps, by which models are compared."""
         outages = outages_of(result, coasting, truth, durations, config.imu.restart_gap) if coasting else []
         errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
-        return Measured(_later(errors, shift), [
+        return MeasuredErrors(_later(errors, shift), [
             replace(o, begin=o.begin + delay, errors=[_later(e, shift) for e in o.errors]) for o in outages],
             recording.reference is not None, problem.stamp, likelihood)
 
@@ -155,7 +155,7 @@ def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, 
         return against(truth, delay if clock == GNSS else 0)
     late = lateness_against(result, truth)
     shift = round(late * 1e9)
-    timeless = against(earlier(truth, shift), shift)
+    timeless = against(shifted_truth(truth, shift), shift)
     return timeless if clock == OWN else replace(against(truth, 0), late=late, timeless=timeless)
 
 
@@ -178,7 +178,7 @@ def _joined_outages(parts: list[Outages]) -> Outages:
     return Outages(duration=parts[0].duration, time=parts[0].time, errors=[errors[i] for i in order], **joined)
 
 
-def in_common(one: Measured, other: Measured) -> Measured:
+def in_common(one: MeasuredErrors, other: MeasuredErrors) -> MeasuredErrors:
     """`one` with only the epochs and outages that `other` has, too, so that their means can be compared."""
     return replace(
         one, continuous=one.continuous.select(np.isin(one.continuous.stamp, other.continuous.stamp)),
@@ -187,22 +187,22 @@ def in_common(one: Measured, other: Measured) -> Measured:
         timeless=one.timeless and other.timeless and in_common(one.timeless, other.timeless))
 
 
-def nearest(measured: Measured, duration: float = 30.0) -> Outages | None:
+def outages_nearest(measured: MeasuredErrors, duration: float = 30.0) -> Outages | None:
     """The outages whose duration is nearest to `duration`, s; None without any."""
     there = [outages for outages in measured.outages if len(outages.begin)]
     return min(there, key=lambda o: abs(o.duration - duration)) if there else None
 
 
-def saved(before: Measured, after: Measured) -> tuple[float, float, float] | None:
+def errors_near_30_s(before: MeasuredErrors, after: MeasuredErrors) -> tuple[float, float, float] | None:
     """Duration of the outages nearest to 30 s, and the mean of the largest error in them before and after, m; None
     without any."""
-    one, other = map(nearest, fairly(before, after))
+    one, other = map(outages_nearest, without_clock_of_truth(before, after))
     if one is None or other is None or one.duration != other.duration:
         return None
     return one.duration, float(one.max_error.mean()), float(other.max_error.mean())
 
 
-def fairly(before: Measured, after: Measured) -> tuple[Measured, Measured]:
+def without_clock_of_truth(before: MeasuredErrors, after: MeasuredErrors) -> tuple[MeasuredErrors, MeasuredErrors]:
     """Both without the time offset of the truth, if the truth may have a clock of its own and the change increases this
     offset: a wrong clock of the truth must not decide against the change."""
     if before.timeless and after.timeless and abs(after.late) > abs(before.late):

@@ -11,7 +11,7 @@ from .online import Find, Online, found
 from .quantity import Findings, Kept, Quantity
 
 
-class Watch:
+class RecordingWatch:
     """A recording given to `Online` chunk by chunk. said: each finding at the time at which it changed.
 
     progress: called from time to time with the part that is done; an exception ends everything. find, look, kept: as
@@ -52,10 +52,10 @@ class Watch:
         return self.wanted
 
 
-def watched(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None
+def live_messages(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None
             ) -> list[Quantity]:
     """The messages of a live node for `recording` that does not apply findings."""
-    watch = Watch(recording, values, progress)
+    watch = RecordingWatch(recording, values, progress)
     while watch.take() is not None:
         pass
     return watch.said

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..diagnosis.estimate import Estimate, rounded
 from ..diagnosis.findings import Diagnosis, Finding
-from ..diagnosis.judgement import changes
-from ..diagnosis.measured import nearest
+from ..diagnosis.judgement import error_changes
+from ..diagnosis.measured import outages_nearest
 from ..diagnosis.tracing import Candidate
 from ..evaluation.verdict import Verdict
 from ..parameters.params_file import yaml_value
@@ -288,7 +288,7 @@ def cost(d: Diagnosis) -> list[str]:
     """Errors in outages, as configured and with corrected.yaml, in words; and the share of them inside the ellipse."""
     held = {h.duration: held_text(h) for h in d.trust.held}
     if d.changed:
-        said = {c.duration: change_text(c, d.verdict.level) for c in changes(d.before, d.after)}
+        said = {c.duration: change_text(c, d.verdict.level) for c in error_changes(d.before, d.after)}
         said.pop(None, None)
     else:
         means = {o.duration: html.number(float(o.max_error.mean()), 2) for o in d.before.outages if len(o.begin)}
@@ -335,7 +335,7 @@ def _drives(d: Diagnosis) -> html.Html:
     for drive in d.drives:
         problem = drive.problem
         minutes = float(np.ptp(problem.stamp[problem.mask])) * 1e-9 / 60
-        before, after = (nearest(m) for m in (drive.before, drive.after))
+        before, after = (outages_nearest(m) for m in (drive.before, drive.after))
         numbers = [None] * 5 if before is None or after is None else [
             before.duration, *(float(o.max_error.mean()) for o in (before, after)),
             *(100 * float(o.within.mean()) for o in (before, after))]

@@ -5,7 +5,7 @@ import numpy as np
 
 from ..diagnosis.detection import COMPONENTS, LAGS
 from ..diagnosis.findings import Diagnosis
-from ..diagnosis.measured import Measured
+from ..diagnosis.measured import MeasuredErrors
 from ..diagnosis.tracing import FAMILY_ERROR_RATE
 from ..evaluation.outages import Outages
 from .colours import AFTER, BEFORE, FITTED
@@ -109,7 +109,7 @@ def errors(diagnosis: Diagnosis):
     return figure
 
 
-def measured_stages(diagnosis: Diagnosis) -> dict[str, Measured]:
+def measured_stages(diagnosis: Diagnosis) -> dict[str, MeasuredErrors]:
     """The measured errors by stage, without a stage of noise levels if these are the given ones or the only change, and
     without the last stage if nothing is better."""
     stages = {'before': diagnosis.before} | ({'after': diagnosis.after} if diagnosis.changed else {})
@@ -119,7 +119,7 @@ def measured_stages(diagnosis: Diagnosis) -> dict[str, Measured]:
     return {'before': diagnosis.before, 'fitted': diagnosis.fitted, **stages}
 
 
-def _longest(measured: Measured) -> Outages | None:
+def _longest(measured: MeasuredErrors) -> Outages | None:
     return next((o for o in reversed(measured.outages) if len(o.growth)), None)
 
 

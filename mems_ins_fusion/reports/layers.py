@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..diagnosis.findings import Diagnosis
-from ..diagnosis.measured import Measured
+from ..diagnosis.measured import MeasuredErrors
 from ..evaluation.comparison import Comparison, truth_of
 from ..evaluation.metrics import Errors, Truth, lever_arm_north_east
 from ..filter.measurements.position import is_fix
@@ -121,7 +121,7 @@ def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
     return layers
 
 
-def _longest(measured: Measured):
+def _longest(measured: MeasuredErrors):
     return next((o for o in reversed(measured.outages) if len(o.begin)), None)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from ..configuration.check import check
 from ..diagnosis.applying import driven
 from ..diagnosis.quantity import CHANGED, Quantity
-from ..diagnosis.watch import Watch, watched
+from ..diagnosis.watch import RecordingWatch, live_messages
 from ..evaluation.comparison import Comparison, ReplayError, compare, cut
 from ..filter.config import FilterConfig
 from ..filter.measurements.registry import further_inputs, named_parameters
@@ -94,18 +94,18 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
                         part(0.55 + 0.05 * done, 'diagnosing')
                     if values['diagnosis.online'] == 'apply':
                         driven_to = folder / (f'{name}_{DRIVEN}' if len(values['bag']) > 1 else DRIVEN)
-                        watch = Watch(recording, values, watching)
+                        watch = RecordingWatch(recording, values, watching)
                         changes = _drive(driven_to, comparisons[name], values, watch)
                         told = watch.said + changes
                     else:
-                        told = watched(recording, values, watching)
+                        told = live_messages(recording, values, watching)
                 online += [online_row(quantity, name, int(recording.imu.stamp[0])) for quantity in told]
         content, answers = _write(folder, comparisons, findings, said, online, values, timing, progress,
                                   Path(known_as or values['output_dir']))
     return Replay(Path(values['output_dir']), content, comparisons, answers, findings)
 
 
-def _drive(path: Path, comparison: Comparison, values: dict, watch: Watch) -> list[Quantity]:
+def _drive(path: Path, comparison: Comparison, values: dict, watch: RecordingWatch) -> list[Quantity]:
     """Write the output of a live node with the findings while driving; if it changed its parameters."""
     run = driven(comparison.recording, values, watch, origin(comparison, values))
     kept = trajectories.every(run.stamp, trajectories.POSE_INTERVAL)
