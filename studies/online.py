@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from vehicle import FIXES, simulated
 
-from mems_ins_fusion.diagnosis.applying import Driven, driven
+from mems_ins_fusion.diagnosis.applying import LiveOutput, live_output
 from mems_ins_fusion.diagnosis.quantity import COARSE
 from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.filter.runs.odometry import POSITION
@@ -53,10 +53,10 @@ def recorded(row: tuple, seed: int, minutes: float):
     return replace(recording, gnss=replace(fixes, stamp=stamp), speed=None, velocity=None, heading=None), offset
 
 
-def error(recording, values: dict, watch: RecordingWatch | None = None) -> tuple[float, Driven]:
+def error(recording, values: dict, watch: RecordingWatch | None = None) -> tuple[float, LiveOutput]:
     """RMS horizontal error of the last part, m, and the drive."""
     truth, datum = recording.reference, (recording.reference.latitude[0], recording.reference.longitude[0], 0.0)
-    run = driven(replace(recording, reference=None), values, watch, datum, every=10)
+    run = live_output(replace(recording, reference=None), values, watch, datum, every=10)
     north, east, _ = to_local(truth.latitude, truth.longitude, truth.height, np.array(datum))
     begin = run.stamp >= recording.imu.stamp[-1] - LAST * (recording.imu.stamp[-1] - recording.imu.stamp[0])
     at = (run.stamp[begin] - truth.stamp[0]) * 1e-9, (truth.stamp - truth.stamp[0]) * 1e-9

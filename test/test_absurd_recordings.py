@@ -11,7 +11,7 @@ import pytest
 from fuzz_support import outcome
 
 from mems_ins_fusion.configuration.check import judge_mounting
-from mems_ins_fusion.configuration.configure import Setting, _possible, look
+from mems_ins_fusion.configuration.configure import Setting, _possible, evidence_of_recording
 from mems_ins_fusion.configuration.mounting import deviation
 from mems_ins_fusion.diagnosis import judging
 from mems_ins_fusion.diagnosis.fit import FittedModel, _finite
@@ -75,7 +75,7 @@ def test_gaps_of_imu_and_fixes_in_turn_are_no_mounting(good):
     part, part_fix = ((samples.stamp - imu.stamp[0]) % (24 * 10**9) / 24e9 for samples in (imu, gnss))
     left = replace(good, imu=imu.select(part < 0.5), gnss=gnss.select(part_fix > 0.25))
     # then what is told of the mounting is near to what the whole drive tells, or nothing is told
-    whole, found = (look(r.name, r.imu, r.gnss).mounting for r in (good, left))
+    whole, found = (evidence_of_recording(r.name, r.imu, r.gnss).mounting for r in (good, left))
     assert whole.yaw_known
     away = deviation(found.rotation, whole.rotation)[:3 if found.yaw_known else 2]
     assert np.all(np.abs(away) < 3.0 * np.hypot(found.sigma, whole.sigma)[:len(away)])

@@ -25,7 +25,7 @@ from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.reports.diagnosis import _interval, _noise, rounded_value, unexplained_text
-from mems_ins_fusion.reports.effect_words import size
+from mems_ins_fusion.reports.effect_words import size_text
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 OFFSET = 0.3  # s
@@ -136,7 +136,8 @@ def test_no_offset_is_vetoed_by_the_clock_of_a_reference(late, clock, veto):
     for name in ('imu', 'auto'):
         problem = Problem(recording, table.check({}))
         problem.reference_clock = name
-        found[name] = [measure_errors(problem, recording, late.imu, [table.check({'gnss.time_offset': offset})], [], 20.0)
+        found[name] = [measure_errors(problem, recording, late.imu, [table.check({'gnss.time_offset': offset})], [],
+                                      20.0)
                        for offset in (0.0, OFFSET)]
     # then a clock that is not known does not speak against it, even where errors with that clock taken for the IMU's do
     assert bool(larger_errors(compared(*found['imu']))) == veto
@@ -169,7 +170,8 @@ def test_the_search_looks_through_a_filter_that_adapts_to_nothing(late):
     assert config.gnss.gate == config.parameters['gnss.robust_sigma'] == 0 and not config.parameters['gnss.adapt_sigma']
     assert 'time_offset' not in config.layout.names
     # each fix is believed as the filter of the user would, and FLOOR
-    fixes = with_covariances(late.gnss, stated_covariances(late.gnss, values), np.log(2.0), np.arange(len(late.gnss)) == 7)
+    fixes = with_covariances(late.gnss, stated_covariances(late.gnss, values), np.log(2.0),
+                             np.arange(len(late.gnss)) == 7)
     assert np.allclose(fixes.covariance[:, 0, 0], (2 * 0.7) ** 2 + FLOOR**2)
     assert np.flatnonzero(fixes.status < 0).tolist() == [7]
     told = stated_covariances(late.gnss, table.check({}))
@@ -226,7 +228,7 @@ def test_a_fix_that_is_far_off_is_set_aside(late):
     ('g_sensitivity', 'x', 1e-3, 1e-4, '(rad/s)/(m/s^2)', 'x 0.0010'),
 ])
 def test_the_size_of_an_effect_in_words(effect, parameter, value, sigma, unit, said):
-    assert said in size(effect, parameter, Estimate(value, sigma, unit))
+    assert said in size_text(effect, parameter, Estimate(value, sigma, unit))
 
 
 @pytest.mark.parametrize('name', EFFECTS)

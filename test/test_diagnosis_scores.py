@@ -594,7 +594,8 @@ def test_where_parameters_stay_what_is_named_makes_sense(first, second, named):
     def verdict(scale, answer='cannot_tell'):
         return Verdict(answer, (change_in_outages(30.0, np.ones(9), np.full(9, scale), 9),))
     # given that neither is proven
-    tried = [(MeasuredCorrection(Correction(setting, [setting], {}, False, beside=(kept,)), one, (one,)), verdict(first)),
+    tried = [(MeasuredCorrection(Correction(setting, [setting], {}, False, beside=(kept,)), one, (one,)),
+              verdict(first)),
              (MeasuredCorrection(Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,)), one, (one,)),
               verdict(second)), (MeasuredCorrection(kept, one), Verdict('same'))]
     correction, _, said, about, _ = taken(tried, one, {})
@@ -612,7 +613,8 @@ def test_smaller_errors_go_before_better_predictions():
     kept = Correction(given, [given], {}, False)
     tried = [(MeasuredCorrection(Correction(setting, [setting], {}, False, beside=(kept,)), honest, (unsure,)),
               Verdict('cannot_tell')),
-             (MeasuredCorrection(Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,)), smaller, (unsure,)),
+             (MeasuredCorrection(Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,)), smaller,
+                                 (unsure,)),
               Verdict('better')),
              (MeasuredCorrection(kept, unsure), Verdict('same'))]
     # then these are in corrected.yaml, and the setting where there are no such levels
@@ -632,7 +634,8 @@ def test_what_only_together_makes_errors_smaller_is_kept_together(alone, both, c
     effects = Correction(late, [late], {}, True)
     levelled = replace(effects, values={**late, 'gnss.sigma': 2.0}, factors={'gnss.sigma': 2.0}, beside=(effects,))
     options = {'both': levelled, 'alone': effects, 'given': Correction(given, [given], {}, False)}
-    tried = [(MeasuredCorrection(levelled, one, (one,)), Verdict(both)), (MeasuredCorrection(effects, one), Verdict(alone)),
+    tried = [(MeasuredCorrection(levelled, one, (one,)), Verdict(both)),
+             (MeasuredCorrection(effects, one), Verdict(alone)),
              (MeasuredCorrection(options['given'], one), Verdict('same'))]
     assert taken(tried, one, {})[0] is options[chosen]
 
@@ -784,12 +787,14 @@ def test_noise_levels_count_by_their_own_gain_whether_the_offset_is_given_or_fou
     both = Correction(noise, [noise], {'gnss.sigma': 2.0}, True, beside=(effects,))
     levels = Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(replace(effects, effects=False),))
     # when the offset is found, which both together prove, and when the params file has it already
-    tried = [MeasuredCorrection(both, levelled, (known,)), MeasuredCorrection(effects, known), MeasuredCorrection(Correction(given, [given], {}, False), late)]
+    tried = [MeasuredCorrection(both, levelled, (known,)), MeasuredCorrection(effects, known),
+             MeasuredCorrection(Correction(given, [given], {}, False), late)]
     found = taken([(t, verdict_on(late, t.errors, t.correction.effects)) for t in tried], late, {})
     tried = [MeasuredCorrection(levels, levelled, (known,)), MeasuredCorrection(replace(effects, effects=False), known)]
     after = taken([(t, verdict_on(known, t.errors)) for t in tried], known, {})
     # and when the offset alone is not proven
-    alone = taken([(MeasuredCorrection(both, levelled, (known,)), Verdict('better')), (MeasuredCorrection(effects, known), Verdict('worse')),
+    alone = taken([(MeasuredCorrection(both, levelled, (known,)), Verdict('better')),
+                   (MeasuredCorrection(effects, known), Verdict('worse')),
                      (MeasuredCorrection(Correction(given, [given], {}, False), late), Verdict('same'))], late, {})
     # then it is kept with the noise levels with which it is: what was given is worse for certain
     assert (alone[0].values, alone[2].answer) == (noise, 'better')
@@ -997,7 +1002,7 @@ def test_of_a_parameter_that_fits_equally_well_at_several_values_there_is_a_rang
     def fitted(problem, unknowns, x, iterations=0):
         best = unknowns[-1].factor_on == 40.0
         return FittedModel(problem, unknowns, np.asarray(x, dtype=float), np.eye(len(x)),
-                     replace(unit, missing=gains) if best else unit, nothing)
+                           replace(unit, missing=gains) if best else unit, nothing)
 
     monkeypatch.setattr(judging, 'fit', fitted)
     known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=problem)
@@ -1023,7 +1028,7 @@ def test_a_value_beyond_the_interval_of_one_that_fits_as_well_makes_it_a_range(m
     def fitted(problem, unknowns, x, iterations=0):
         start = unknowns[-1].factor_on
         return FittedModel(problem, unknowns, np.array([sizes[start]**2, np.log(40.0 / start)]),
-                     np.diag([(2.0 * sigma)**2, 0.01]), unit, nothing)  # of a square: 2 x times that of x
+                           np.diag([(2.0 * sigma)**2, 0.01]), unit, nothing)  # of a square: 2 x times that of x
 
     monkeypatch.setattr(judging, 'fit', fitted)
     known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=problem)

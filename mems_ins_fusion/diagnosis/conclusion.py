@@ -262,7 +262,8 @@ def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[M
     def merit(tried):
         changed = bool(_switched(configured.values, tried.correction.values))
         return _merit(tried.errors) - changed * WORTH / predictions(tried.errors)
-    found = [MeasuredCorrection(option, measured(option), tuple(measured(one) for one in option.beside)) for option in options]
+    found = [MeasuredCorrection(option, measured(option), tuple(measured(one) for one in option.beside))
+             for option in options]
     return [*sorted(found, key=merit, reverse=True), MeasuredCorrection(configured, measured(configured))]
 
 
@@ -313,7 +314,8 @@ def _with_mounting(correction: Correction, trials: TrialRuns) -> Correction:
     """`correction` with the mounting angles that the filter estimates itself, if it does and they do no harm."""
     if MOUNTING not in {e.name for e in trials.library}:
         return correction
-    found = learned_mounting.combined_angles([learned_mounting.learned_angles(p.full, correction.values) for p in trials.origin.each])
+    found = learned_mounting.combined_angles([learned_mounting.learned_angles(p.full, correction.values)
+                                              for p in trials.origin.each])
     if found is None or not found.plain:
         return correction
     effect = next(e for e in trials.library if e.name == MOUNTING)
@@ -365,7 +367,8 @@ def _estimates(known: SearchState, trials: TrialRuns) -> dict[str, dict[str, Est
     return {finding.name: sizes_with_sigma(finding, model, sigma) for finding in known.findings}
 
 
-def _proven_sigmas(known: SearchState, estimates: dict[str, dict[str, Estimate]], trials: TrialRuns) -> dict[str, float]:
+def _proven_sigmas(known: SearchState, estimates: dict[str, dict[str, Estimate]],
+                   trials: TrialRuns) -> dict[str, float]:
     """Standard deviations of the values that the added effects correct, by the parameters in which they stand. A value
     that was not fitted keeps the given one."""
     given, found = trials.origin.given, {}

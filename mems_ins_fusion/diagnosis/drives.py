@@ -28,7 +28,8 @@ class Drives:
         self.slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:])]
         self.stamp, self.mask, self.claimed, self.outlying = (
             np.concatenate([getattr(p, name) for p in self.each]) for name in ('stamp', 'mask', 'claimed', 'outlying'))
-        self.before, self.base = joined_residuals([p.before for p in self.each]), joined_residuals([p.base for p in self.each])
+        self.before = joined_residuals([p.before for p in self.each])
+        self.base = joined_residuals([p.base for p in self.each])
         self._by_name = {p.recording.name: p for p in self.each}
         self._watch: list[Callable[[], None] | None] = [None]
 

@@ -180,7 +180,8 @@ def fitted_further(model: FittedModel, iterations: int = 8) -> FittedModel:
     return fit(model.problem, model.unknowns, model.x, iterations, model)
 
 
-def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8, begun: FittedModel | None = None) -> FittedModel:
+def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8,
+        begun: FittedModel | None = None) -> FittedModel:
     """The maximum of the likelihood.
 
     Fisher's scoring with Levenberg's damping; each unknown has a weak Gaussian prior about its base. begun: a model
@@ -208,7 +209,8 @@ def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8, b
             damping = max(10 * damping, 1e-2)
         if not moved or gain < ENOUGH_GAIN:
             break
-    return FittedModel(problem, list(unknowns), x, np.linalg.inv(found.information(mask) + np.diag(1 / prior**2)), at, found)
+    return FittedModel(problem, list(unknowns), x, np.linalg.inv(found.information(mask) + np.diag(1 / prior**2)), at,
+                       found)
 
 
 def objective_of(residual: Residual, mask, x, base, prior) -> float:

@@ -48,7 +48,8 @@ def error_changes(before: MeasuredErrors, after: MeasuredErrors) -> list[Change]
     return found
 
 
-def verdict_on(before: MeasuredErrors, after: MeasuredErrors, effects: bool = False, candidates: float = 1.0) -> Verdict:
+def verdict_on(before: MeasuredErrors, after: MeasuredErrors, effects: bool = False,
+               candidates: float = 1.0) -> Verdict:
     """Verdict on a change. It is not `better` if it does harm: to the ellipses, or to the errors of a single drive.
     candidates: as for `decide`."""
     verdict = decide(error_changes(before, after), candidates)
@@ -208,7 +209,8 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     for name, (gain, p) in proof.drives.items():
         if p < CERTAIN:
             return f'{name} speaks against it (log likelihood {gain:+.1f} there, p {p:.2g})'
-    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < PLAINLY * row['before'] for row in rows_of_all_drives(comparison))
+    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < PLAINLY * row['before']
+                  for row in rows_of_all_drives(comparison))
     if not (proof.helps or (proof.gain > 0 and shrinks)):
         what = 'too small a gain' if proof.gain > 0 else 'no gain'
         return f'{what} on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
@@ -235,7 +237,8 @@ def objection_to_errors(comparison: Sequence[dict]) -> str:
     arm as the fixes that are used.
     """
     plainly = 0.0 < overall_ratio(comparison) <= PLAINLY
-    return larger_errors(comparison, effects=True, floor=COVERED - LESS_HELD if plainly else COVERED) or _larger(comparison)
+    floor = COVERED - LESS_HELD if plainly else COVERED
+    return larger_errors(comparison, effects=True, floor=floor) or _larger(comparison)
 
 
 def ellipses_better(rows: Sequence[dict]) -> bool:

@@ -70,7 +70,8 @@ def with_candidate(known: SearchState, candidate: Candidate, view: np.ndarray, t
     return max(fits, key=lambda m: m.likelihood(known.problem.mask))
 
 
-def tested_on_held_out(known: SearchState, candidate: Candidate, model: FittedModel, trials: TrialRuns) -> TestedCandidate:
+def tested_on_held_out(known: SearchState, candidate: Candidate, model: FittedModel,
+                       trials: TrialRuns) -> TestedCandidate:
     """The proof of `candidate`, which `model` contains, on data that it was not fitted to."""
     first = len(known.model.unknowns)
     if model.problem is not known.problem:
@@ -90,7 +91,7 @@ def tested_on_held_out(known: SearchState, candidate: Candidate, model: FittedMo
     model, hidden = _completed(known, candidate, prune(model, first))
     if len(model.unknowns) == first:
         return TestedCandidate(candidate, known.model, {}, {}, HeldOut(0.0, 1.0, []), known.errors,
-                      contradiction or 'not determined once all is fitted together', drives, apart)
+                               contradiction or 'not determined once all is fitted together', drives, apart)
     sigma = sigmas(model, trials.beside.track, trials.origin.given)
     parameters = {name: e for name, e in _estimates(candidate, model, first, sigma).items()
                   if f'{candidate.name}.{name}' not in hidden}

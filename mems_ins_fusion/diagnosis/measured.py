@@ -11,7 +11,7 @@ from ..evaluation.comparison import aiding_of, samples_to_keep, truth_of
 from ..evaluation.metrics import Errors, Truth, position_errors
 from ..evaluation.outages import Outages, outage_begins, outages_of
 from ..evaluation.outages import summary as outage_summary
-from ..evaluation.verdict import Consistency, Trust, trusted
+from ..evaluation.verdict import Consistency, Trust, trust_in_sigmas
 from ..filter.config import FilterConfig
 from ..filter.runs.replay import run, run_with_outages
 from ..samples import ImuSamples, Recording
@@ -60,7 +60,7 @@ class MeasuredErrors:
         """Whether the errors agree with the filter's sigmas. nis (f,): of its innovations, NaN without one; it stands
         for the errors with fixes if the truth is the same fixes."""
         nees = self.continuous.nees if self.independent else nis[np.isfinite(nis)]
-        return trusted([Consistency(None, nees), *(o.consistency for o in self.outages)])
+        return trust_in_sigmas([Consistency(None, nees), *(o.consistency for o in self.outages)])
 
     def scores(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Stamps and log likelihoods of the predicted positions: of each fix, and at the ends of the outages of each
@@ -80,13 +80,13 @@ def _end_scores(outages: Outages) -> np.ndarray:
 
 
 def measure_errors(problem: Problem, recording: Recording, imu: ImuSamples, models: Sequence[dict], durations,
-            spacing: float, judged: Sequence[np.ndarray] | None = None,
-            between: Callable[[], None] = lambda: None, announces: bool = False) -> MeasuredErrors:
+                   spacing: float, judged: Sequence[np.ndarray] | None = None,
+                   between: Callable[[], None] = lambda: None, announces: bool = False) -> MeasuredErrors:
     """Errors in one drive of a model with parameters `models`: one set, or one for each part, fitted to the others.
 
     recording: with all fixes, for the truth. imu: the samples that the filter gets. judged: masks of the parts in which
-    errors are measured, by default those of `part_masks`. between: called after each model (`on_all_cores`). announces: as
-    for `run_with_outages`.
+    errors are measured, by default those of `part_masks`. between: called after each model (`on_all_cores`). announces:
+    as for `run_with_outages`.
     """
     first = int(problem.stamp[problem.mask][0])
     # by the stamps of the fixes, so that models with different time offsets have the same outages
@@ -122,8 +122,8 @@ def _joined(found: Sequence[MeasuredErrors]) -> MeasuredErrors:
     outages = [_joined_outages([o for m in found for o in m.outages if o.duration == d]) for d in durations]
     timeless = [m.timeless or m for m in found] if any(m.timeless for m in found) else []
     return MeasuredErrors(_joined_errors([m.continuous for m in found]), outages, all(m.independent for m in found),
-                    stamp[order], likelihood[order], late=float(np.mean([m.late for m in found])),
-                    timeless=_joined(timeless) if timeless else None)
+                          stamp[order], likelihood[order], late=float(np.mean([m.late for m in found])),
+                          timeless=_joined(timeless) if timeless else None)
 
 
 def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, durations,

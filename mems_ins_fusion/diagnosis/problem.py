@@ -16,7 +16,7 @@ import numpy as np
 
 from ..configuration.vehicle import standstills_show
 from ..errors import InputError
-from ..evaluation.comparison import aiding_of, samples_to_keep, thin
+from ..evaluation.comparison import aiding_of, fixes_apart, samples_to_keep
 from ..filter.config import FilterConfig
 from ..filter.measurements.registry import aiding
 from ..filter.memory import PLANAR, Event, Kind, Verdict
@@ -129,7 +129,7 @@ class Problem:
             raise DiagnosisError(f'{recording.name}: {reason}')
         # in the clock of the fixes, as in a replay, so that both thin out the same ones and have the same outages
         self.began = int(first.stamp[0]) + round(values['gnss.time_offset'] * 1e9)
-        self.used = thin(recording.gnss, interval, self.began)
+        self.used = fixes_apart(recording.gnss, interval, self.began)
         self.full = replace(recording, gnss=recording.gnss.select(self.used))
         seconds = max((recording.imu.stamp[-1] - recording.imu.stamp[0]) * 1e-9, 1.0)
         rate = float(np.clip(MANY_SAMPLES / seconds, SLOWEST_RATE, FASTEST_RATE))

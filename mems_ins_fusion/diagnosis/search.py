@@ -97,7 +97,8 @@ def _without_hidden(known: SearchState) -> SearchState:
     for e in known.effects:
         own = [e.hidden(known.problem.given, p.recording) for p in known.problem.each]
         reasons[e.name] = own[0] if all(own) else ''
-    reasons |= {name: why for name, why in learned_mounting.estimated_by_filter(known.problem.given).items() if name in reasons}
+    reasons |= {name: why for name, why in learned_mounting.estimated_by_filter(known.problem.given).items()
+                if name in reasons}
     fitted = {e.name for e in known.effects if e.traced}
     hidden = {name: why for name, why in reasons.items() if why and name in fitted}
     return replace(known, hidden=known.hidden | hidden,
@@ -170,7 +171,8 @@ def with_other_mechanization(known: SearchState, trials: TrialRuns) -> SearchSta
             if not effect.replaces_model(candidate.values()):
                 continue
             trials.searching(f'trying {effect.name}')
-            judged = tested_on_held_out(known, candidate, with_candidate(known, candidate, known.model.x, trials), trials)
+            judged = tested_on_held_out(known, candidate, with_candidate(known, candidate, known.model.x, trials),
+                                        trials)
             if judged.against or judged.proof.p > CERTAIN:
                 continue
             candidate = replace(candidate, gain=2 * judged.proof.gain, p=judged.proof.p, p_adjusted=judged.proof.p)

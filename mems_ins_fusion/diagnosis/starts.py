@@ -68,7 +68,8 @@ def shown_without_filter(recordings: Sequence[Recording], values: dict) -> Direc
             one = LowPass(*map(float, weighted(np.array([p.tau for p in passes]), np.array([p.sigma for p in passes]))))
             if (beside := one.left(values[f'{name}.lag'])) is not None:
                 low_passes[name] = beside
-    return DirectEvidence(together([m.offset for m in found if m is not None and m.offset is not None]), clocks, low_passes)
+    return DirectEvidence(together([m.offset for m in found if m is not None and m.offset is not None]), clocks,
+                          low_passes)
 
 
 def other_starts(offset: Offset | None, values: dict) -> list[dict]:

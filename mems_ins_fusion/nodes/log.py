@@ -63,7 +63,7 @@ class Log:
             self._logger.error(line)
 
 
-class Watch:
+class SilenceWatch:
     """Notices that a topic is silent: `patience` seconds after the last message, then every `period` seconds.
 
     The callback of the subscription only increments `count`, as it is called for each message.

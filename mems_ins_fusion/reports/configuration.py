@@ -44,7 +44,7 @@ def configuration_yaml(result: Configuration) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def story(result: Configuration) -> list[str]:
+def result_lines(result: Configuration) -> list[str]:
     """The results as lines."""
     values = result.values
     lines = [f'IMU {values["imu_topic"]} ({values["imu.acceleration_unit"]}, {values["imu.rate_unit"]}), '
@@ -61,7 +61,7 @@ def story(result: Configuration) -> list[str]:
     return lines
 
 
-def in_short(result: Configuration) -> str:
+def summary_line(result: Configuration) -> str:
     """The same in one line for a console: units, angles, time offset. Only the yaw is shown with its sigma, which
     differs most between drives."""
     said, found = f'{result.values["imu.acceleration_unit"]}, {result.values["imu.rate_unit"]}', result.mounting
@@ -105,7 +105,7 @@ def answer(result: Configuration, bags: list[str], output: str) -> Answer:
 
 def configuration_page(result: Configuration, yaml_text: str, answered: Answer) -> str:
     """The page with the results and their data."""
-    summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(story(result))}'
+    summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(result_lines(result))}'
     return html.page('Parameters found in the recording', [
         section('Is the file ready?', answered.html(), *_figure(result),
                 settings_table({s.name: s.value for s in result.settings}, evidence=_evidence(result))),
