@@ -38,7 +38,7 @@ from diagnosis_on_roads import SECOND_DRIVE, TRUTH, errors
 from diagnosis_on_roads import measured as measured_errors
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.configuration.check import judge_mounting
+from mems_ins_fusion.configuration.check import compare_mounting
 from mems_ins_fusion.configuration.configure import Configuration, configured, evidence_of_recording
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.topics import Candidate, Topics
@@ -405,7 +405,7 @@ def slow_drive(seed: int) -> list[tuple]:
                     look_at - KEPT if look_at < LOOKS[-1] else 0.0, look_at))
                 imu, fixes = (samples.select((samples.stamp > begin) & (samples.stamp < end))
                               for samples in (made.imu, made.gnss))
-                findings, found = judge_mounting(imu, fixes, table.defaults(), 0.0)
+                findings, found = compare_mounting(imu, fixes, table.defaults(), 0.0)
                 known = found is not None and found.yaw_known
                 rows.append((sigma, look_at, np.degrees(found.rpy[2]) if known else np.nan,
                              np.degrees(found.sigma[2]) if known else np.nan,

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from fuzz_support import outcome
 
-from mems_ins_fusion.configuration.check import judge_mounting
+from mems_ins_fusion.configuration.check import compare_mounting
 from mems_ins_fusion.configuration.configure import Setting, _possible, evidence_of_recording
 from mems_ins_fusion.configuration.mounting import deviation
-from mems_ins_fusion.diagnosis import judging
+from mems_ins_fusion.diagnosis import candidate_proof
+from mems_ins_fusion.diagnosis.error_changes import larger_errors
 from mems_ins_fusion.diagnosis.fit import FittedModel, _finite
-from mems_ins_fusion.diagnosis.judgement import larger_errors
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.metrics import summary, turning_at
 from mems_ins_fusion.evaluation.outages import _fitting
@@ -38,7 +38,7 @@ def test_who_looks_at_raw_samples_survives(good, content):
     recording = fuzz_recordings.in_order(fuzz_recordings.KNOWN[content](good))
     findings = check_recording(recording)
     assert all(np.isfinite(v) for f in findings for v in f.values.values() if isinstance(v, float)), findings
-    judge_mounting(recording.imu, recording.gnss, table.defaults())
+    compare_mounting(recording.imu, recording.gnss, table.defaults())
     turning_at(recording.imu, np.eye(6), good.gnss.stamp)
 
 
@@ -126,25 +126,25 @@ def test_an_effect_that_has_lost_its_axes_is_refined_without_them(monkeypatch):
         attitude = None
 
     known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=Problem())
-    axes = judging.effect_unknowns(effect, dict(effect.tried[0]), None)
+    axes = candidate_proof.effect_unknowns(effect, dict(effect.tried[0]), None)
 
     def fit(problem, unknowns, x, iterations):
         assert len(unknowns) == len(x)
         fitted.append([u.name for u in unknowns])
         return FittedModel(problem, unknowns, np.asarray(x), np.eye(len(x)), None, None)
 
-    monkeypatch.setattr(judging, 'fit', fit)
-    monkeypatch.setattr(judging, 'also_determined', lambda *arguments: [])
+    monkeypatch.setattr(candidate_proof, 'fit', fit)
+    monkeypatch.setattr(candidate_proof, 'also_determined', lambda *arguments: [])
     monkeypatch.setattr(FittedModel, 'likelihood', lambda self, mask: 0.0)
     monkeypatch.setattr(FittedModel, 'sigma', lambda self: np.ones(len(self.x)))
-    monkeypatch.setattr(judging, 'certainly_better', lambda one, other, gain: False)
+    monkeypatch.setattr(candidate_proof, 'certainly_better', lambda one, other, gain: False)
     monkeypatch.setattr(FittedModel, 'moved', lambda self: self.problem)
     candidate = SimpleNamespace(effect=effect, fixed=dict(effect.tried[0]), undetermined={})
     whole = FittedModel(Problem(), axes, np.full(len(axes), 0.1), np.eye(len(axes)), None, None)
-    judging._completed(known, candidate, whole)
+    candidate_proof._completed(known, candidate, whole)
     assert len(fitted) == len(effect.tried) and all(names[0] == axes[0].name for names in fitted)
     pruned = FittedModel(Problem(), [], np.empty(0), np.empty((0, 0)), None, None)
-    assert judging._completed(known, candidate, pruned) == (pruned, {}) and len(fitted) == len(effect.tried)
+    assert candidate_proof._completed(known, candidate, pruned) == (pruned, {}) and len(fitted) == len(effect.tried)
 
 
 # -- numbers that are none ---------------------------------------------------------------------------------------------

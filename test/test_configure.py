@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.__main__ import main
-from mems_ins_fusion.configuration.check import check, check_setup, judge_mounting
+from mems_ins_fusion.configuration.check import check, check_setup, compare_mounting
 from mems_ins_fusion.configuration.configure import configure, configured, evidence_of_recording
 from mems_ins_fusion.configuration.drive_settings import vehicle_settings
 from mems_ins_fusion.configuration.mounting import Mounting, deviation, estimate_mounting, rpy
@@ -59,7 +59,7 @@ def check_mounting(made, values):
 
 
 def contradictions(imu, fixes, mounting, lag=None):
-    return judge_mounting(imu, fixes, table.check({'imu.mounting_rpy': mounting}), lag)[0]
+    return compare_mounting(imu, fixes, table.check({'imu.mounting_rpy': mounting}), lag)[0]
 
 
 def recording(segments=SHORT, mounting=(0.0, 0.0, 0.0), seed=0, sensors=None, sigma=0.5, rate=5.0, effects=(),

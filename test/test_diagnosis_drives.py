@@ -9,10 +9,10 @@ from filter_support import PAPER
 
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
+from mems_ins_fusion.diagnosis.error_changes import objection
 from mems_ins_fusion.diagnosis.fit import scores
 from mems_ins_fusion.diagnosis.folds import part_masks
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.judgement import objection
 from mems_ins_fusion.diagnosis.noise import noise_unknowns
 from mems_ins_fusion.diagnosis.problem import Problem
 from mems_ins_fusion.diagnosis.tracing import effect_unknowns

@@ -10,10 +10,10 @@ import pytest
 
 from mems_ins_fusion.diagnosis.clock import lateness, lateness_against, reference_clock_of
 from mems_ins_fusion.diagnosis.drives import Drives
+from mems_ins_fusion.diagnosis.error_changes import compared, larger_errors
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.fit import fit
 from mems_ins_fusion.diagnosis.held_out import held_out
-from mems_ins_fusion.diagnosis.judgement import compared, larger_errors
 from mems_ins_fusion.diagnosis.learned_mounting import learned_angles
 from mems_ins_fusion.diagnosis.measured import measure_errors, without_clock_of_truth
 from mems_ins_fusion.diagnosis.noise import calibrated, noise_unknowns

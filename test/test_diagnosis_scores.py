@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, ttest_1samp
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
-from mems_ins_fusion.diagnosis import judging
+from mems_ins_fusion.diagnosis import candidate_proof
 from mems_ins_fusion.diagnosis.conclusion import (
     NOT_EACH,
     PREDICTS_WORSE,
@@ -23,11 +23,7 @@ from mems_ins_fusion.diagnosis.conclusion import (
     _switched,
 )
 from mems_ins_fusion.diagnosis.detection import detect
-from mems_ins_fusion.diagnosis.estimate import Estimate, widened
-from mems_ins_fusion.diagnosis.fit import FittedModel, Scores, _scores, fit
-from mems_ins_fusion.diagnosis.folds import part_masks
-from mems_ins_fusion.diagnosis.held_out import HeldOut, certainly_better
-from mems_ins_fusion.diagnosis.judgement import (
+from mems_ins_fusion.diagnosis.error_changes import (
     ONE_SIDED,
     candidates,
     compared,
@@ -38,6 +34,10 @@ from mems_ins_fusion.diagnosis.judgement import (
     predicted,
     verdict_on,
 )
+from mems_ins_fusion.diagnosis.estimate import Estimate, widened
+from mems_ins_fusion.diagnosis.fit import FittedModel, Scores, _scores, fit
+from mems_ins_fusion.diagnosis.folds import part_masks
+from mems_ins_fusion.diagnosis.held_out import HeldOut, certainly_better
 from mems_ins_fusion.diagnosis.measured import MeasuredErrors, in_common
 from mems_ins_fusion.diagnosis.noise_levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
@@ -795,7 +795,7 @@ def test_noise_levels_count_by_their_own_gain_whether_the_offset_is_given_or_fou
     # and when the offset alone is not proven
     alone = taken([(MeasuredCorrection(both, levelled, (known,)), Verdict('better')),
                    (MeasuredCorrection(effects, known), Verdict('worse')),
-                     (MeasuredCorrection(Correction(given, [given], {}, False), late), Verdict('same'))], late, {})
+                   (MeasuredCorrection(Correction(given, [given], {}, False), late), Verdict('same'))], late, {})
     # then it is kept with the noise levels with which it is: what was given is worse for certain
     assert (alone[0].values, alone[2].answer) == (noise, 'better')
     # and else both ways end with the same parameters: with the noise levels that have a gain of their own
@@ -1004,10 +1004,11 @@ def test_of_a_parameter_that_fits_equally_well_at_several_values_there_is_a_rang
         return FittedModel(problem, unknowns, np.asarray(x, dtype=float), np.eye(len(x)),
                            replace(unit, missing=gains) if best else unit, nothing)
 
-    monkeypatch.setattr(judging, 'fit', fitted)
+    monkeypatch.setattr(candidate_proof, 'fit', fitted)
     known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=problem)
     # when the correlation time is estimated, too
-    model, hidden = judging._refined(known, effect, FittedModel(problem, alone, np.ones(1), np.eye(1), unit, None))
+    model, hidden = candidate_proof._refined(known, effect,
+                                             FittedModel(problem, alone, np.ones(1), np.eye(1), unit, None))
     # then the best one is taken, and the range of all is told unless it is better for certain
     assert model.unknowns[-1].factor_on == 40.0
     assert hidden == ({} if end - begin == count else {
@@ -1030,10 +1031,11 @@ def test_a_value_beyond_the_interval_of_one_that_fits_as_well_makes_it_a_range(m
         return FittedModel(problem, unknowns, np.array([sizes[start]**2, np.log(40.0 / start)]),
                            np.diag([(2.0 * sigma)**2, 0.01]), unit, nothing)  # of a square: 2 x times that of x
 
-    monkeypatch.setattr(judging, 'fit', fitted)
+    monkeypatch.setattr(candidate_proof, 'fit', fitted)
     known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=problem)
     alone = effect_unknowns(effect, effect.tried[0])
     # when it is told how well they are determined
-    _, hidden = judging._refined(known, effect, FittedModel(problem, alone, np.ones(1), np.eye(1), unit, nothing))
+    _, hidden = candidate_proof._refined(known, effect,
+                                         FittedModel(problem, alone, np.ones(1), np.eye(1), unit, nothing))
     # then the size is a range where the interval of the best one does not hold the others
     assert hidden == ({'gnss_coloured_noise.sigma': '0.9 to 1.1 m explain the recording equally well'} if said else {})

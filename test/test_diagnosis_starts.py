@@ -9,6 +9,7 @@ import pytest
 
 from mems_ins_fusion.configuration.offset import Offset, together
 from mems_ins_fusion.diagnosis import conclusion, search
+from mems_ins_fusion.diagnosis.candidate_proof import TestedCandidate, too_small_effect
 from mems_ins_fusion.diagnosis.conclusion import _final_findings
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
@@ -17,7 +18,6 @@ from mems_ins_fusion.diagnosis.exact import of_receiver, sigmas
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.fit import fit
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.judging import TestedCandidate, too_small_effect
 from mems_ins_fusion.diagnosis.known import SearchState
 from mems_ins_fusion.diagnosis.noise import calibrated, noise_unknowns
 from mems_ins_fusion.diagnosis.plausible import implausible

@@ -9,16 +9,16 @@ import numpy as np
 from ..effects.base import Effect
 from ..evaluation.verdict import BETTER, CANNOT_TELL, WORSE, Verdict
 from . import learned_mounting
+from .candidate_proof import by_drive_of, sizes_with_sigma
 from .detection import detect
 from .drives import Drives, select_fixes
+from .error_changes import RUNS, candidates, compared, gain_proven, objection_to_errors, predicts_worse, verdict_on
 from .estimate import PLAIN, Estimate
 from .exact import sigmas
 from .findings import Diagnosis, Finding
 from .fit import FittedModel
 from .folds import part_masks, which_part
 from .held_out import HeldOut
-from .judgement import RUNS, candidates, compared, gain_proven, objection_to_errors, predicts_worse, verdict_on
-from .judging import by_drive_of, sizes_with_sigma
 from .known import SearchState
 from .measured import MeasuredErrors, errors_near_30_s, in_common
 from .noise import LARGEST_FACTOR

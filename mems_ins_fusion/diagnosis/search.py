@@ -13,15 +13,7 @@ import numpy as np
 from ..effects.gnss_outliers import far_off
 from . import learned_mounting
 from .agreement import plainest_in_one
-from .drives import Drives
-from .estimate import Estimate
-from .exact import sigmas
-from .findings import Finding
-from .fit import FittedModel, fit, scores
-from .folds import part_masks
-from .held_out import CERTAIN, held_out
-from .judgement import compared, objection, objection_to_errors, overall_ratio
-from .judging import (
+from .candidate_proof import (
     CLOSE,
     COMPARED,
     REFITTED,
@@ -32,6 +24,14 @@ from .judging import (
     too_small_effect,
     with_candidate,
 )
+from .drives import Drives
+from .error_changes import compared, objection, objection_to_errors, overall_ratio
+from .estimate import Estimate
+from .exact import sigmas
+from .findings import Finding
+from .fit import FittedModel, fit, scores
+from .folds import part_masks
+from .held_out import CERTAIN, held_out
 from .known import SearchState
 from .measured import errors_near_30_s
 from .noise import calibrated, noise_unknowns

@@ -66,7 +66,7 @@ class TrialRuns:
     measured: dict[str, MeasuredErrors] = field(default_factory=dict)  # by the filters asked for
 
     @cached_property
-    def judging(self) -> tuple[Recording, ...]:
+    def without_outliers(self) -> tuple[Recording, ...]:
         """The recordings that errors are measured against. Fixes that are far off are left out: they are no truth."""
         return tuple(replace(r, gnss=without_far_off(r.gnss)) for r in self.recordings)
 
@@ -119,7 +119,7 @@ class TrialRuns:
         """Scale factor error of the vertical gyroscope: by which part it turns further than the course of the fixes.
         None if a scale is configured, or without a turn that shows it."""
         up = -mounting(self.origin.given['imu.mounting_rpy'])[2]
-        seen = [usable(recording) for recording in self.judging]
+        seen = [usable(recording) for recording in self.without_outliers]
         found = [compare_steering(recording.imu, recording.gnss, up) for recording in seen if len(recording.gnss) > 1]
         found = [steering for steering in found if steering is not None and steering.tells and steering.scale > 0.0]
         if not found or any(self.origin.given['gyroscope.scale']):
@@ -190,11 +190,11 @@ class TrialRuns:
     def _measured(self, models: list[dict], use: str) -> MeasuredErrors:
         judged = part_masks(self.origin) if len(models) > 1 else [self.origin.mask]
         found = {}
-        for recording, judging, problem, where in zip(self.recordings, self.judging, self.origin.each,
-                                                      self.origin.slices):
+        for recording, truth, problem, where in zip(self.recordings, self.without_outliers, self.origin.each,
+                                                    self.origin.slices):
             mine = [(values, mask[where]) for values, mask in zip(models, judged) if mask[where].any()]
             found[recording.name] = measure_errors(
-                problem, judging, (problem.drive if use == FOR_EFFECTS else problem.full).imu,
+                problem, truth, (problem.drive if use == FOR_EFFECTS else problem.full).imu,
                 [values for values, _ in mine], short_enough(self.durations, problem), self._between(problem, use),
                 [mask for _, mask in mine], self.working, use == REPORTED)
         return all_drives_together(found)

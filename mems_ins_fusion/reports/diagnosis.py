@@ -7,9 +7,9 @@ from dataclasses import asdict
 
 import numpy as np
 
+from ..diagnosis.error_changes import error_changes
 from ..diagnosis.estimate import Estimate, rounded
 from ..diagnosis.findings import Diagnosis, Finding
-from ..diagnosis.judgement import error_changes
 from ..diagnosis.measured import outages_nearest
 from ..diagnosis.tracing import Candidate
 from ..evaluation.verdict import Verdict

@@ -8,12 +8,12 @@ import numpy as np
 
 from ..effects.base import Effect
 from .agreement import by_drive, contradicted, drives_text
+from .error_changes import compared, objection
 from .estimate import PLAIN, Estimate, widened
 from .exact import sigmas
 from .findings import Finding
 from .fit import FittedModel, fit, fitted_further
 from .held_out import HeldOut, certainly_better, gain_of, held_out
-from .judgement import compared, objection
 from .known import SearchState
 from .measured import MeasuredErrors
 from .noise import calibrated, noise_unknowns
