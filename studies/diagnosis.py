@@ -188,7 +188,7 @@ def study(scenario: str, names, seed: int) -> Case:
     case.found, case.unexplained = [f.group for f in added], result.unexplained
     case.notes = [f'{f.name} {f.parameters} p {f.p:.1g} held out {f.held_out.gain:.1f} p {f.held_out.p:.2g} '
                   f'{f.reason}' for f in result.findings]
-    case.notes += [f'{r.where} goes with {r.what}: gain {r.gain:.0f}' for r in result.rest[:4]]
+    case.notes += [f'{r.where} goes with {r.what}: gain {r.gain:.0f}' for r in result.correlations[:4]]
     for finding in added:
         for name, estimate in finding.parameters.items():
             if finding.name in truth and estimate.known:

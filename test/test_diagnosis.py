@@ -196,7 +196,8 @@ def test_an_effect_outside_the_library_is_not_blamed_on_one_inside(plain):
     # then something stays unexplained, and it is said where and with what it goes
     assert result.unexplained
     assert {('forward accelerometer', 'forward acceleration squared'),
-            ('lateral accelerometer', 'lateral acceleration squared')} <= {(r.where, r.what) for r in result.rest}
+            ('lateral accelerometer', 'lateral acceleration squared')} <= {(r.where, r.what)
+                                                                           for r in result.correlations}
 
 
 def test_a_bias_that_goes_with_speed_is_named_and_measured(plain):
@@ -207,7 +208,7 @@ def test_a_bias_that_goes_with_speed_is_named_and_measured(plain):
     recording = replace(plain, imu=replace(plain.imu, angular_rate=rate))
     result = diagnose(recording, VALUES, effects=FEW, **OUTAGES)
     assert result.unexplained
-    found = {(r.where, r.what): r for r in result.rest}
+    found = {(r.where, r.what): r for r in result.correlations}
     here = found['vertical gyroscope', 'speed']
     assert here.p < 1e-6 and here.unit == 'rad/s'
     # then its RMS is found, about the mean, of which the bias state takes care; a linear step from zero, so roughly

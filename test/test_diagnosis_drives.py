@@ -143,7 +143,7 @@ def test_an_effect_that_is_weak_in_each_drive_is_found_in_all_together():
     # when all are, it is, and each drive says its share
     result = diagnose(drives, values, effects=FEW, **outages)
     [finding] = added(result)
-    assert finding.name == 'gnss_time_offset' and not finding.apart
+    assert finding.name == 'gnss_time_offset' and not finding.drives_contradict
     offset = finding.parameters['time_offset']
     assert abs(offset.value - 0.2) < 3 * offset.sigma < 0.2
     assert set(finding.drives) == {'drive_1', 'drive_2', 'drive_3'}
@@ -167,7 +167,7 @@ def test_what_one_drive_alone_has_is_told_and_not_added_for_all():
     assert not added(result) and result.corrected['gnss.time_offset'] == 0.0
     # then it is told which one
     [finding] = [f for f in result.findings if f.name == 'gnss_time_offset']
-    assert finding.apart and 'contradict each other' in finding.reason
+    assert finding.drives_contradict and 'contradict each other' in finding.reason
     for own, offset in zip(finding.drives.values(), offsets):
         assert own['time_offset'].value == pytest.approx(offset, abs=0.1)
 

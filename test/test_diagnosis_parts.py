@@ -144,7 +144,8 @@ def test_no_offset_is_vetoed_by_the_clock_of_a_reference(late, clock, veto):
     assert not larger_errors(compared(*found['auto']))
     # and where they do not, it speaks for it
     before, after = found['auto']
-    assert without_clock_of_truth(before, after) == ((before.timeless, after.timeless) if veto else (before, after))
+    expected = (before.without_offset, after.without_offset) if veto else (before, after)
+    assert without_clock_of_truth(before, after) == expected
 
 
 @pytest.mark.parametrize('pitch, yaw', [(0.0, 0.1), (0.05, -0.08)])
@@ -278,7 +279,7 @@ def test_what_stays_unexplained_may_be_a_low_pass_that_the_filter_has_no_model_o
                           'left.type': 'speed', 'left.topic': '/left'})
     rest = SimpleNamespace(where='position along the track', what='forward acceleration', rms=0.11, sigma=0.03,
                            unit='m')
-    told = unexplained_text(SimpleNamespace(unexplained=True, rest=[rest], values=values,
+    told = unexplained_text(SimpleNamespace(unexplained=True, correlations=[rest], values=values,
                                             findings=[SimpleNamespace(name=found, added=added)]))
     # then the positions are not the only cause that is named, where the filter corrects the offset alone
     assert 'position along the track that goes with forward acceleration (0.110 m RMS).' in told

@@ -386,12 +386,12 @@ def test_means_before_and_after_are_of_the_same_outages():
     whole, late = replace(whole, continuous=epochs), replace(late, continuous=epochs.select(np.arange(100) >= 10))
     # then both ways round, in single drives and without lateness, too, the same ones are left
     for one, other in ((whole, late), (late, whole)):
-        found = in_common(*(replace(m, drives={'a': m}, timeless=m) for m in (one, other)))
-        for measured in (found, found.drives['a'], found.timeless):
+        found = in_common(*(replace(m, drives={'a': m}, without_offset=m) for m in (one, other)))
+        for measured in (found, found.drives['a'], found.without_offset):
             assert len(measured.outages[0].begin) == 9 and measured.outages[0].max_error.mean() == 1.0
             assert measured.continuous.stamp.tolist() == list(range(10, 100))
     # and where one of them has no lateness of its own, neither is measured without it
-    assert in_common(replace(whole, timeless=whole), late).timeless is None
+    assert in_common(replace(whole, without_offset=whole), late).without_offset is None
 
 
 def test_a_prediction_is_not_better_than_the_fix_it_is_judged_by():
@@ -748,7 +748,8 @@ def test_what_is_predicted_better_is_the_mean_of_the_horizons():
     gain, none = 1.0 + rng.standard_normal((2, 30)), rng.standard_normal(30)
 
     def of(*scores):
-        return SimpleNamespace(timeless=None, outages=[SimpleNamespace(begin=begin, apart=30)] * 2, scores=lambda: [
+        return SimpleNamespace(without_offset=None, outages=[SimpleNamespace(begin=begin, apart=30)] * 2,
+                               scores=lambda: [
             (begin[:0], begin[:0]), *((begin, score) for score in scores)])
     # then each has one vote, and no more is certain than that both err together
     found = predicted(of(0 * none, none), of(gain[0], none))
@@ -765,7 +766,7 @@ def test_what_is_predicted_better_is_the_mean_of_the_horizons():
 def test_predictions_that_are_the_same_are_seldom_better_for_certain(alike):
     # given outages of three durations whose predictions differ by chance, more or less alike in all of them
     def of(scores):
-        return SimpleNamespace(timeless=None, outages=[SimpleNamespace(begin=s, apart=len(s)) for s in scores],
+        return SimpleNamespace(without_offset=None, outages=[SimpleNamespace(begin=s, apart=len(s)) for s in scores],
                                scores=lambda: [(np.zeros(0), np.zeros(0)), *((np.arange(len(s)), s) for s in scores)])
     proven = 0
     for seed in range(400):

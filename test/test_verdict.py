@@ -342,7 +342,7 @@ def test_who_keeps_the_parameters_is_told_to_drive_on_with_them():
     # and where chance may have made the difference, unless a longer drive would tell what something is
     for answer in (SAME, WORSE, CANNOT_TELL):
         assert step(answer).command.endswith('fusion_node --ros-args --params-file my.yaml')
-    left_alone = SimpleNamespace(added=False, apart=False, changes={}, name='gnss_time_offset')
+    left_alone = SimpleNamespace(added=False, drives_contradict=False, changes={}, name='gnss_time_offset')
     for more in ({'unexplained': True}, {'findings': [left_alone]}):
         assert step(CANNOT_TELL, **more).what.startswith('Record a longer drive')
 

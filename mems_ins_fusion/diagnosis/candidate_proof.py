@@ -38,7 +38,7 @@ OF_FIXES = 'gnss_time_offset', 'gnss_latency', 'gnss_lag'
 class TestedCandidate:
     """A candidate with its proof. model: with it. parameters: its sizes. hidden: by name, why a parameter is not
     determined. proof, errors: on held-out data. against: in words, why it is not added; empty if it is. drives: its
-    sizes in each drive. apart: whether these contradict each other."""
+    sizes in each drive. drives_contradict: whether these contradict each other."""
 
     candidate: Candidate
     model: FittedModel
@@ -48,7 +48,7 @@ class TestedCandidate:
     errors: MeasuredErrors
     against: str
     drives: dict[str, dict[str, Estimate]] = field(default_factory=dict)
-    apart: bool = False
+    drives_contradict: bool = False
 
 
 def with_candidate(known: SearchState, candidate: Candidate, view: np.ndarray, trials: TrialRuns) -> FittedModel:

@@ -132,7 +132,7 @@ def concluded(known: SearchState, trials: TrialRuns) -> Diagnosis:
         hidden=hidden, corrected=correction.values,
         verdict=verdict, tried=_said(given, judged_on.correction),
         before=before, fitted=noise_only, after=after, comparison=comparison,
-        rest=[rest for found in rests for rest in found],
+        correlations=[one for found in rests for one in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
         + _noise_remarks(model, correction.factors)
         + [f'{_SWITCHED[name][now]}: '
@@ -224,7 +224,8 @@ def _in_drive(whole: Diagnosis, k: int, rest: list[Correlation], remarks: list[s
     problem, recording, where = whole.problem.each[k], whole.recordings[k], whole.problem.slices[k]
     residuals = {stage: select_fixes(r, where) for stage, r in whole.residuals.items()}
     return replace(
-        whole, recordings=(recording,), problem=Drives([problem]), residuals=residuals, rest=rest, remarks=remarks,
+        whole, recordings=(recording,), problem=Drives([problem]), residuals=residuals, correlations=rest,
+        remarks=remarks,
         detections={stage: detect(r, problem.mask) for stage, r in residuals.items()},
         before=whole.before.drives[recording.name], fitted=whole.fitted.drives[recording.name],
         after=whole.after.drives[recording.name],
@@ -398,7 +399,7 @@ def _final_findings(known: SearchState, estimates: dict[str, dict[str, Estimate]
         parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
         if not finding.added:  # what is less than PLAIN is no news
             parameters = {n: e for n, e in parameters.items() if not e.known or abs(e.value) >= PLAIN * e.sigma}
-            if not finding.apart and (not parameters or finding.held_out.gain <= 0) and (
+            if not finding.drives_contradict and (not parameters or finding.held_out.gain <= 0) and (
                     finding.name not in trials.certain):
                 continue
         changes = {}

@@ -174,7 +174,7 @@ def predicted(before: MeasuredErrors, after: MeasuredErrors) -> Difference | Non
     of the sigmas, and the relative error of the sigma, 1 / sqrt(2 (count - 1)), the mean of the relative errors
     weighted by sigma: both are upper bounds.
     """
-    apart = [np.inf, *(o.apart for o in (before.timeless or before).outages if len(o.begin))]
+    apart = [np.inf, *(o.apart for o in (before.without_offset or before).outages if len(o.begin))]
     scores, found = (before.scores(), after.scores()), []
     if len(scores[0]) != len(scores[1]):  # one of the filters never runs for so long
         return None

@@ -32,8 +32,8 @@ class MeasuredErrors:
 
     independent: whether there is another truth than the fixes that the filter was given. stamp, likelihood (k,): ns and
     log likelihood of the predicted fixes. drives: the errors in each of several drives, by name. late: s by which the
-    truth is estimated to be stamped later than the track; timeless: the errors without that offset, if the truth may
-    have a clock of its own.
+    truth is estimated to be stamped later than the track; without_offset: the errors without that offset, if the truth
+    may have a clock of its own.
     """
 
     continuous: Errors
@@ -43,13 +43,13 @@ class MeasuredErrors:
     likelihood: np.ndarray
     drives: dict[str, MeasuredErrors] = field(default_factory=dict)
     late: float = 0.0
-    timeless: MeasuredErrors | None = None
+    without_offset: MeasuredErrors | None = None
 
     def select(self, epochs: Callable, fixes: np.ndarray) -> MeasuredErrors:
         """The part at the stamps for which `epochs` returns true, with the fixes of the mask `fixes` (k,)."""
         return replace(self, continuous=self.continuous.select(epochs(self.continuous.stamp)), stamp=self.stamp[fixes],
                        likelihood=self.likelihood[fixes],
-                       timeless=self.timeless and self.timeless.select(epochs, fixes))
+                       without_offset=self.without_offset and self.without_offset.select(epochs, fixes))
 
     def summary(self) -> dict:
         """The numbers for `report.json`."""
@@ -66,7 +66,7 @@ class MeasuredErrors:
         """Stamps and log likelihoods of the predicted positions: of each fix, and at the ends of the outages of each
         duration. They depend on the errors and on the sigmas.
         """
-        outages = (self.timeless or self).outages
+        outages = (self.without_offset or self).outages
         ends = [(o.begin, _end_scores(o)) for o in outages if len(o.begin)]
         return [(self.stamp, self.likelihood), *ends]
 
@@ -120,10 +120,10 @@ def _joined(found: Sequence[MeasuredErrors]) -> MeasuredErrors:
     order = np.argsort(stamp, kind='stable')
     durations = sorted({o.duration for m in found for o in m.outages})
     outages = [_joined_outages([o for m in found for o in m.outages if o.duration == d]) for d in durations]
-    timeless = [m.timeless or m for m in found] if any(m.timeless for m in found) else []
+    without_offset = [m.without_offset or m for m in found] if any(m.without_offset for m in found) else []
     return MeasuredErrors(_joined_errors([m.continuous for m in found]), outages, all(m.independent for m in found),
                           stamp[order], likelihood[order], late=float(np.mean([m.late for m in found])),
-                          timeless=_joined(timeless) if timeless else None)
+                          without_offset=_joined(without_offset) if without_offset else None)
 
 
 def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, durations,
@@ -155,8 +155,8 @@ def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, 
         return against(truth, delay if clock == GNSS else 0)
     late = lateness_against(result, truth)
     shift = round(late * 1e9)
-    timeless = against(shifted_truth(truth, shift), shift)
-    return timeless if clock == OWN else replace(against(truth, 0), late=late, timeless=timeless)
+    without_offset = against(shifted_truth(truth, shift), shift)
+    return without_offset if clock == OWN else replace(against(truth, 0), late=late, without_offset=without_offset)
 
 
 def _later(errors: Errors, shift: int) -> Errors:
@@ -184,7 +184,8 @@ def in_common(one: MeasuredErrors, other: MeasuredErrors) -> MeasuredErrors:
         one, continuous=one.continuous.select(np.isin(one.continuous.stamp, other.continuous.stamp)),
         outages=[a.select(np.isin(a.begin, b.begin)) for a, b in zip(one.outages, other.outages)],
         drives={name: in_common(drive, other.drives[name]) for name, drive in one.drives.items()},
-        timeless=one.timeless and other.timeless and in_common(one.timeless, other.timeless))
+        without_offset=one.without_offset and other.without_offset and in_common(one.without_offset,
+                                                                                 other.without_offset))
 
 
 def outages_nearest(measured: MeasuredErrors, duration: float = 30.0) -> Outages | None:
@@ -205,6 +206,6 @@ def errors_near_30_s(before: MeasuredErrors, after: MeasuredErrors) -> tuple[flo
 def without_clock_of_truth(before: MeasuredErrors, after: MeasuredErrors) -> tuple[MeasuredErrors, MeasuredErrors]:
     """Both without the time offset of the truth, if the truth may have a clock of its own and the change increases this
     offset: a wrong clock of the truth must not decide against the change."""
-    if before.timeless and after.timeless and abs(after.late) > abs(before.late):
-        return before.timeless, after.timeless
+    if before.without_offset and after.without_offset and abs(after.late) > abs(before.late):
+        return before.without_offset, after.without_offset
     return before, after

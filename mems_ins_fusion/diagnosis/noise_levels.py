@@ -24,7 +24,7 @@ STEPS = dict.fromkeys(ONLY_LARGER, (0, 1))  # smallest and largest number, where
 
 
 @dataclass(frozen=True)
-class Levels:
+class NoiseLevels:
     """Factors on noise levels, by name. by_part: for each part, the factors that the other parts choose."""
 
     factors: dict[str, float]
@@ -52,7 +52,7 @@ def adjustable(values: dict) -> list[str]:
 
 
 def choose(values: dict, errors: Callable[[Sequence[dict]], list[MeasuredErrors]], part_of: Callable, count: int,
-           claimed: float, start: dict[str, float] | None = None) -> Levels:
+           claimed: float, start: dict[str, float] | None = None) -> NoiseLevels:
     """The levels that predict best. The search begins at the configured levels, or at `start` if these are better, and
     moves one level after the other up or down as long as predictions become better.
 
@@ -83,7 +83,7 @@ def choose(values: dict, errors: Callable[[Sequence[dict]], list[MeasuredErrors]
     points = list(tried)
     table = np.array([tried[p] for p in points])
     chosen = [points[k] for k in np.argmax(table, axis=0)]
-    return Levels(_factors(names, chosen[-1]), [_factors(names, p) for p in chosen[:-1]])
+    return NoiseLevels(_factors(names, chosen[-1]), [_factors(names, p) for p in chosen[:-1]])
 
 
 def _along(best, i, limits: tuple[int, int], merits, tried):

@@ -236,7 +236,7 @@ def _with_best_of(known: SearchState, significant, candidates: list[Candidate], 
         sizes = trials.told(name, best.parameters) if best.against else best.parameters
         finding = Finding(best.candidate.name, [best.candidate.name, *others], sizes, best.candidate.gain,
                           best.candidate.p_adjusted, not best.against, best.proof, best.against, drives=best.drives,
-                          apart=best.apart, saves=errors_near_30_s(known.errors, best.errors))
+                          drives_contradict=best.drives_contradict, saves=errors_near_30_s(known.errors, best.errors))
         if not best.against:
             return _with_added(known, best, finding, failed)
         failed.append(finding)

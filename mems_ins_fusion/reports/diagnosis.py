@@ -52,7 +52,7 @@ def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dic
         'not_identifiable': list(not_identifiable(d)),
         'not_identifiable_reasons': not_identifiable(d),
         'comparison': d.comparison,
-        'goes_with': [asdict(rest) for rest in d.rest],
+        'goes_with': [asdict(one) for one in d.correlations],
         'noise_factors': d.noise,
         'noise_that_would_explain': d.explained,
         'use_corrected': d.better,
@@ -101,7 +101,7 @@ def _effect(finding: Finding) -> dict:
         'seen': finding.seen,
         'drives': {name: {p: asdict(estimate) for p, estimate in found.items()}
                    for name, found in finding.drives.items()},
-        'drives_contradict': finding.apart,
+        'drives_contradict': finding.drives_contradict,
     }
 
 
@@ -114,7 +114,7 @@ def _drive(d: Diagnosis, drive: Diagnosis) -> dict:
         'after': _measured(drive, 'after', d.corrected),
         'unexplained': drive.unexplained,
         'comparison': drive.comparison,
-        'goes_with': [asdict(rest) for rest in drive.rest],
+        'goes_with': [asdict(one) for one in drive.correlations],
         'remarks': drive.remarks,
     }
 
@@ -272,13 +272,13 @@ def unexplained_text(d: Diagnosis) -> str:
     if not d.unexplained:
         return 'Nothing is left unexplained.'
     text = 'A part stays unexplained'
-    if not d.rest:
+    if not d.correlations:
         seen = 'change sign from fix to fix' if d.detections['search'].alternates else (
             'still last from one fix to the next')
         text = f'{text}: errors {seen}, and go with nothing that was recorded.'
     else:
         seen = ', or of the '.join(f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)'
-                                   for r in d.rest[:3])
+                                   for r in d.correlations[:3])
         text = f'{text}. What is left looks like an error of the {seen}.'
     causes = [left for f in d.findings if f.added and (left := remaining_cause(f.name, d.values))]
     return f'{text} It may come from {", or ".join(causes)}.' if causes else text
@@ -472,11 +472,12 @@ def _interval(row: dict) -> str:
 
 def _unexplained(d: Diagnosis) -> html.Html:
     parts = [unexplained_text(d)]
-    if d.rest:
+    if d.correlations:
         parts += ['An error of one sensor, or of the position, in proportion to something else would explain the rest '
                   'better. No effect of the library stands for it, so it is not corrected.',
                   html.table(('error of', 'goes with', 'RMS', '\N{PLUS-MINUS SIGN}', 'unit', 'gain', 'p, all tests '
-                              'counted'), [(r.where, r.what, r.rms, r.sigma, r.unit, r.gain, _p(r.p)) for r in d.rest],
+                              'counted'), [(r.where, r.what, r.rms, r.sigma, r.unit, r.gain, _p(r.p))
+                                           for r in d.correlations],
                              digits=3)]
     elif d.unexplained:
         parts.append('It goes with none of time, speed, acceleration, turn rate, heading and temperature (as far as '

@@ -197,7 +197,7 @@ def _steps(d: Diagnosis, output: str, bags: Sequence[str], params_file: str, set
         if f.added and vehicle_check(f.name):
             steps.append(Step(f'Check on the vehicle: {vehicle_check(f.name)}'
                               + (f' (corrected.yaml has {values}).' if values else '.')))
-    if any(f.apart for f in d.findings):
+    if any(f.drives_contradict for f in d.findings):
         steps.append(Step('The drives contradict each other in what is left alone above: find out what was changed '
                           'between them, and diagnose them apart.'))
     if d.changed and not d.better:
