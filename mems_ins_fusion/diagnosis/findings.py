@@ -23,7 +23,8 @@ class Finding:
     correction sets them. reason: why it was not added. seen: what shows it, if it was not fitted. drives: estimates
     from each of several drives, by name. drives_contradict: whether these contradict each other. saves: duration of
     outages, s, and the mean of the largest error in them without it and with it, m, each with the effects that were
-    added before. since: ns, stamp of the first sample that shows it; 0: unknown. least: part of the sigma of a parameter that does
+    added before.
+    since: ns, stamp of the first sample that shows it; 0: unknown. least: part of the sigma of a parameter that does
     not decrease with more samples. settled: not added, and all that may be left does not matter. direct: estimated
     without a filter, as `configure` does.
     """
