@@ -942,7 +942,7 @@ def test_a_noise_level_that_rests_on_a_bound_of_the_fit_is_said(name, bounds, fa
     assert [text[:len(said or '')] for text in _noise_remarks(model, {})] == ([said] if said else [])
 
 
-@pytest.mark.parametrize('factor, said', [(0.1, 'or smaller, to'), (0.316, None), (1.0, None), (10.0, 'no sensor')])
+@pytest.mark.parametrize('factor, said', [(0.1, 'or smaller, to'), (0.316, None), (1.0, None), (10.0, 'No sensor')])
 def test_of_a_level_that_was_chosen_the_bounds_are_those_of_the_choice(factor, said):
     # given a level at the lower bound of the fit, for which the user's filter asked for another factor
     level = Unknown('gyroscope.noise', None, 0.0, 0.05, 1.0, bounds=(np.log(1 / 3), np.log(10.0)),
