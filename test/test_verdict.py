@@ -456,3 +456,36 @@ def test_the_error_that_the_headline_tells_is_not_repeated_on_the_page():
         page = Answer(GOOD, said, cost=cost).html()
         # then the middle one is a line of its own only where the headline does not contain it
         assert ('<b>error:</b>' in page) == repeated, page
+
+
+@pytest.mark.parametrize('fitted, after, changed, shown', [
+    (1.0, 1.0, False, ['before']), (2.0, 1.0, False, ['before', 'fitted']),
+    # noise levels that are all that was changed are no stage of their own
+    (2.0, 2.0, True, ['before', 'after']), (2.0, 3.0, True, ['before', 'fitted', 'after'])])
+def test_a_page_shows_each_filter_once(fitted, after, changed, shown):
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_figures import measured_stages
+
+    def measured(error):
+        return SimpleNamespace(continuous=SimpleNamespace(horizontal=np.full(3, error)))
+    # given errors of the filter as configured, with other noise levels, and with corrected.yaml
+    stages = measured_stages(SimpleNamespace(before=measured(1.0), fitted=measured(fitted), after=measured(after),
+                                             changed=changed))
+    # then those that are alike stand there once, in this order
+    assert list(stages) == shown
+
+
+@pytest.mark.parametrize('lag, value, said', [(-0.12, 0.0, 'fixes 0.120 +- 0.080 s early (not set)'),
+                                              (0.3, 0.3, 'fixes 0.300 +- 0.080 s late')])
+def test_a_time_offset_that_the_file_does_not_have_is_told_as_such(lag, value, said):
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.configuration import summary_line
+
+    # given what configure has found, and the value in its file
+    mounting = SimpleNamespace(rpy=np.zeros(3), sigma=np.full(3, 0.01), yaw_known=True, lag=lag, lag_sigma=0.08,
+                               offset=SimpleNamespace(shown=True))
+    line = summary_line(SimpleNamespace(mounting=mounting, values={
+        'imu.acceleration_unit': 'g', 'imu.rate_unit': 'rad/s', 'gnss.time_offset': value}))
+    assert line.endswith(said)
