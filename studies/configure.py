@@ -38,8 +38,8 @@ from diagnosis_on_roads import SECOND_DRIVE, TRUTH, errors
 from diagnosis_on_roads import measured as measured_errors
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.configuration.check import judge_mounting
-from mems_ins_fusion.configuration.configure import Configuration, configured, look
+from mems_ins_fusion.configuration.check import compare_mounting
+from mems_ins_fusion.configuration.configure import Configuration, configured, evidence_of_recording
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.topics import Candidate, Topics
 from mems_ins_fusion.diagnosis.diagnose import diagnose
@@ -225,7 +225,7 @@ def what_is_found(of: Case, units: tuple[str, str] = UNITS[0]) -> Configuration:
     imu, fixes = as_delivered(of.recording.imu, *units), of.recording.gnss
     topics = Topics(*((Candidate(topic, len(samples), 1.0, 0.0, 1.0, False, samples),)
                       for topic, samples in (('/imu/data', imu), ('/gps/fix', fixes))), ())
-    return configured(topics, [look(of.recording.name, imu, fixes)], [fixes])
+    return configured(topics, [evidence_of_recording(of.recording.name, imu, fixes)], [fixes])
 
 
 def one_joint(number: int) -> list | None:
@@ -405,7 +405,7 @@ def slow_drive(seed: int) -> list[tuple]:
                     look_at - KEPT if look_at < LOOKS[-1] else 0.0, look_at))
                 imu, fixes = (samples.select((samples.stamp > begin) & (samples.stamp < end))
                               for samples in (made.imu, made.gnss))
-                findings, found = judge_mounting(imu, fixes, table.defaults(), 0.0)
+                findings, found = compare_mounting(imu, fixes, table.defaults(), 0.0)
                 known = found is not None and found.yaw_known
                 rows.append((sigma, look_at, np.degrees(found.rpy[2]) if known else np.nan,
                              np.degrees(found.sigma[2]) if known else np.nan,

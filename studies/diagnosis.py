@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from mems_ins_fusion.diagnosis.diagnose import diagnose  # noqa: E402
 from mems_ins_fusion.diagnosis.fit import fit, scores  # noqa: E402
-from mems_ins_fusion.diagnosis.measured import Measured, measure
+from mems_ins_fusion.diagnosis.measured import MeasuredErrors, measure_errors
 from mems_ins_fusion.diagnosis.noise import noise_unknowns  # noqa: E402
 from mems_ins_fusion.diagnosis.problem import Problem  # noqa: E402
 from mems_ins_fusion.diagnosis.tracing import trace  # noqa: E402
@@ -188,7 +188,7 @@ def study(scenario: str, names, seed: int) -> Case:
     case.found, case.unexplained = [f.group for f in added], result.unexplained
     case.notes = [f'{f.name} {f.parameters} p {f.p:.1g} held out {f.held_out.gain:.1f} p {f.held_out.p:.2g} '
                   f'{f.reason}' for f in result.findings]
-    case.notes += [f'{r.where} goes with {r.what}: gain {r.gain:.0f}' for r in result.rest[:4]]
+    case.notes += [f'{r.where} goes with {r.what}: gain {r.gain:.0f}' for r in result.correlations[:4]]
     for finding in added:
         for name, estimate in finding.parameters.items():
             if finding.name in truth and estimate.known:
@@ -198,7 +198,7 @@ def study(scenario: str, names, seed: int) -> Case:
     knowing = oracle(truth, values, scenario)
     if knowing is not None:
         problem = Problem(recording, values)
-        known = measure(problem, recording, problem.full.imu, [knowing], DURATIONS, SPACING)
+        known = measure_errors(problem, recording, problem.full.imu, [knowing], DURATIONS, SPACING)
         case.ratios = ratios(result.after, known)
     case.improved = ratios(result.after, result.before)
     if scenario in [e.name for e in OUTSIDE]:
@@ -236,7 +236,7 @@ def oracle(truth: dict, values: dict, scenario: str) -> dict | None:
     return values
 
 
-def ratios(one: Measured, other: Measured) -> list[float]:
+def ratios(one: MeasuredErrors, other: MeasuredErrors) -> list[float]:
     """Error of one model over another's: RMS with all fixes, mean largest error for each duration of outages."""
     found = [np.sqrt(np.mean(one.continuous.horizontal**2) / np.mean(other.continuous.horizontal**2))]
     return found + [float(np.mean(a.max_error) / np.mean(b.max_error)) for a, b in zip(one.outages, other.outages)]

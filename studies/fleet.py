@@ -20,13 +20,13 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from mems_ins_fusion.configuration.configure import look
+from mems_ins_fusion.configuration.configure import evidence_of_recording
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.fleet import tables
 from mems_ins_fusion.fleet.change_points import find_changes, series_of
-from mems_ins_fusion.fleet.work import shown_by
+from mems_ins_fusion.fleet.work import configured_effects
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.recordings.several import later
+from mems_ins_fusion.recordings.several import shifted_recording
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.simulation.simulation import SensorErrors, simulate_drive, simulate_recording
 
@@ -58,7 +58,7 @@ def drives(vehicles: list[int], count: int, duration: float, rate: float, moved:
             seed = 1000 + 100 * vehicle + drive
             made = simulate_recording(simulate_drive(duration, seed=seed, rate=rate), sensors,
                                       effects=effects_of(vehicle, drive / count, moved), seed=seed).recording
-            yield vehicle, drive, replace(later(made, drive * BETWEEN), reference=None)
+            yield vehicle, drive, replace(shifted_recording(made, drive * BETWEEN), reference=None)
 
 
 def changes_in_estimates(options) -> None:
@@ -66,7 +66,7 @@ def changes_in_estimates(options) -> None:
     rows = []
     for vehicle, drive, recording in drives(options.vehicles, options.drives, options.duration, options.rate,
                                             options.moved):
-        seen = shown_by(look(recording.name, recording.imu, recording.gnss))
+        seen = configured_effects(evidence_of_recording(recording.name, recording.imu, recording.gnss))
         rows += [row | {'vehicle': f'car_{vehicle}', 'stamp_ns': int(recording.imu.stamp[0])} for row in seen]
         print(f'car_{vehicle} drive {drive}:', *(f"{row['parameter']} {row['value']:.2f} +- {row['sigma']:.2f} m"
                                                  for row in seen if row['effect'] == 'gnss_lever_arm'), flush=True)

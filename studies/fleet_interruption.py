@@ -48,7 +48,7 @@ def main() -> None:
             path = Path(f'logs/car_{i // 20}/drive_{i % 20}.mcap')
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(str(i))
-        asked = run.Asked('logs', 'replay', Path('out'), pages=False)
+        asked = run.FleetTask('logs', 'replay', Path('out'), pages=False)
         entries, states = run._entries(asked)
         run._claim(asked)
         known = run._Known(asked)

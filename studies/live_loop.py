@@ -10,7 +10,7 @@ listens: odometry with the latency of each (from the Imu message to its Odometry
 beside it at rest, is told. --kill: after so many seconds of the recording the node is killed with SIGKILL and started
 again. -p: parameters of the node.
 
-replay: the same recording and parameters without ROS (`diagnosis.applying.driven`), with the same record.
+replay: the same recording and parameters without ROS (`diagnosis.applying.live_output`), with the same record.
 
 figure: of each FOLDER what was known of each quantity over the drive with its sigma and state, and the error without
 fixes with and without it, as the node told it.
@@ -183,8 +183,8 @@ def record(folder: Path, bag: str, rate: float, kills: list[float], assignments:
 
 def replay(folder: Path, bag: str, assignments: list[str]) -> None:
     """The same without ROS."""
-    from mems_ins_fusion.diagnosis.applying import driven
-    from mems_ins_fusion.diagnosis.watch import Watch
+    from mems_ins_fusion.diagnosis.applying import live_output
+    from mems_ins_fusion.diagnosis.watch import RecordingWatch
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings.reading import read_recording
 
@@ -192,9 +192,9 @@ def replay(folder: Path, bag: str, assignments: list[str]) -> None:
     given = {name: value for name, value in parameters(assignments).items() if name in own}
     values = table.check({'imu_topic': '/imu/data', 'gnss_topic': '/gps/fix', **given})
     recording = read_recording(bag, values['imu_topic'], values['gnss_topic'])
-    watch = Watch(recording, values) if values['diagnosis.online'] != 'off' else None
+    watch = RecordingWatch(recording, values) if values['diagnosis.online'] != 'off' else None
     began = time.perf_counter()
-    run = driven(recording, values, watch)
+    run = live_output(recording, values, watch)
     folder.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(folder / 'track.npz', stamp=run.stamp, odometry=run.odometry)
     told = [{'topic': '/fusion_node/calibration', 'at': q.time, 'stamp': q.time, 'name': q.name, 'message':

@@ -20,9 +20,9 @@ from dataclasses import replace
 import numpy as np
 from vehicle import FIXES, simulated
 
-from mems_ins_fusion.diagnosis.applying import Driven, driven
+from mems_ins_fusion.diagnosis.applying import LiveOutput, live_output
 from mems_ins_fusion.diagnosis.quantity import COARSE
-from mems_ins_fusion.diagnosis.watch import Watch
+from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.filter.runs.odometry import POSITION
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
@@ -53,10 +53,10 @@ def recorded(row: tuple, seed: int, minutes: float):
     return replace(recording, gnss=replace(fixes, stamp=stamp), speed=None, velocity=None, heading=None), offset
 
 
-def error(recording, values: dict, watch: Watch | None = None) -> tuple[float, Driven]:
+def error(recording, values: dict, watch: RecordingWatch | None = None) -> tuple[float, LiveOutput]:
     """RMS horizontal error of the last part, m, and the drive."""
     truth, datum = recording.reference, (recording.reference.latitude[0], recording.reference.longitude[0], 0.0)
-    run = driven(replace(recording, reference=None), values, watch, datum, every=10)
+    run = live_output(replace(recording, reference=None), values, watch, datum, every=10)
     north, east, _ = to_local(truth.latitude, truth.longitude, truth.height, np.array(datum))
     begin = run.stamp >= recording.imu.stamp[-1] - LAST * (recording.imu.stamp[-1] - recording.imu.stamp[0])
     at = (run.stamp[begin] - truth.stamp[0]) * 1e-9, (truth.stamp - truth.stamp[0]) * 1e-9
@@ -68,7 +68,7 @@ def of_drive(row: tuple, seed: int, minutes: float):
     """The row, its offset, what was said and applied, and three errors."""
     recording, offset = recorded(row, seed, minutes)
     values = table.check({'diagnosis.online': 'apply'})
-    watch = Watch(replace(recording, reference=None), values)
+    watch = RecordingWatch(replace(recording, reference=None), values)
     with_offset = {**values, 'gnss.time_offset': offset if row[3] == 1.0 else 0.0}
     as_given, _ = error(recording, values)
     apply, run = error(recording, values, watch)

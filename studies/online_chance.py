@@ -34,7 +34,7 @@ from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.diagnosis.quantity import FINE
-from mems_ins_fusion.diagnosis.watch import Watch
+from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Recording
@@ -111,7 +111,7 @@ def of_drive(seed: int, drives: Drives) -> tuple[str, list, list, list, list[str
     name, recording, faults, given = drives.of(seed)
     values = table.check({'diagnosis.online': 'apply', 'diagnosis.share': drives.share, **given})
     wrong = (lambda part, given: []) if drives.each_fault else wrong_findings(np.random.default_rng(seed))
-    watch = Watch(recording, values, find=None if drives.find else wrong)
+    watch = RecordingWatch(recording, values, find=None if drives.find else wrong)
     while watch.take() is not None:
         pass
     true = {f'mounting_rotation {p}': v for effect, sizes in REALISTIC.distortions(seed)['effects']

@@ -24,8 +24,8 @@ from vehicle import FIXES, sensors
 
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.online import OTHER
-from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, Kept
-from mems_ins_fusion.diagnosis.watch import Watch
+from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, EarlierFinding
+from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Recording
@@ -76,7 +76,7 @@ def made(row: tuple, seed: int, minutes: float, rate: float, receiver: str) -> C
     return Case(recording, true, seconds * first, seconds * last if last < 1.0 else 0.0)
 
 
-def known(case: Case, values: dict) -> list[Kept]:
+def known(case: Case, values: dict) -> list[EarlierFinding]:
     """The effects of `case` as an earlier drive has found them, exactly."""
     found = []
     for name, true in case.true.items():
@@ -84,7 +84,7 @@ def known(case: Case, values: dict) -> list[Kept]:
         sizes = {one.name: true.get(one.name, 0.0) for one in effect.traced}
         sets = {n: v for n, v in effect.adjusted(values, sizes).items() if v != values.get(n)}
         units = {one.name: one.unit for one in effect.traced}
-        found.append(Kept(name, {p: Estimate(v, 0.05, units[p]) for p, v in true.items()}, sets))
+        found.append(EarlierFinding(name, {p: Estimate(v, 0.05, units[p]) for p, v in true.items()}, sets))
     return found
 
 
@@ -100,8 +100,8 @@ def told(case: Case, receiver: str, row: tuple, seed: int, options) -> str:
     """A line of the table."""
     recording = case.recording
     values = table.check({'diagnosis.online': 'apply', 'diagnosis.share': 1.0})
-    watch = Watch(replace(recording, reference=None), values, kept=known(case, values) if options.kept else (),
-                  find=None if options.find else lambda part, given: [])
+    watch = RecordingWatch(replace(recording, reference=None), values, kept=known(case, values) if options.kept else (),
+                           find=None if options.find else lambda part, given: [])
     as_given, _ = error(recording, values)
     apply, run = error(recording, values, watch)
     zero, cells = int(recording.imu.stamp[0]), []

@@ -2,9 +2,9 @@
 
     python studies/online_measured.py ../shared/data [--drives longmont_rtk_drive dresden_hobby_imu ...] [--output FILE]
 
-Each drive as a live node would have driven it (`diagnosis.applying.driven`), with `off` and `apply`, the topics and the
-mounting to the nearest right angle alone given. Printed: what came to which state when, where another filter took over,
-and a row of the table:
+Each drive as a live node would have driven it (`diagnosis.applying.live_output`), with `off` and `apply`, the topics
+and the mounting to the nearest right angle alone given. Printed: what came to which state when, where another filter
+took over, and a row of the table:
 
 RMSE: horizontal, against the reference, over the whole drive, m; where there is none, `-`, as the filter is given the
 fixes. Outages of 10 and 30 s: the largest errors (mean, m) behind the middle of the drive, fixes withheld each 10 s on,
@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mems_ins_fusion.diagnosis.applying import driven
-from mems_ins_fusion.diagnosis.watch import Watch
+from mems_ins_fusion.diagnosis.applying import live_output
+from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.evaluation.comparison import aiding_of, samples_to_keep, truth_of
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages
 from mems_ins_fusion.filter.config import FilterConfig
@@ -71,9 +71,9 @@ def row(name: str, data: Path) -> str:
     recording = read_recording(bag, values['imu_topic'], values['gnss_topic'], reference or None, **speed)
     fix = recording.gnss
     datum = (float(fix.latitude[0]), float(fix.longitude[0]), float(fix.height[0]))
-    watch = Watch(recording, {**values, 'diagnosis.online': 'apply'})
-    off = driven(recording, values, None, datum)
-    run = driven(recording, {**values, 'diagnosis.online': 'apply'}, watch, datum)
+    watch = RecordingWatch(recording, {**values, 'diagnosis.online': 'apply'})
+    off = live_output(recording, values, None, datum)
+    run = live_output(recording, {**values, 'diagnosis.online': 'apply'}, watch, datum)
     begin, told = int(recording.imu.stamp[0]), {}
     for q in watch.said:
         if told.get(q.name) != (q.state, q.applied):

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from vehicle import DURATIONS, FIXES, MEASURED, measured, simulated
 
-from mems_ins_fusion.evaluation.comparison import samples_to_keep, thin, truth_of
+from mems_ins_fusion.evaluation.comparison import fixes_apart, samples_to_keep, truth_of
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages, smooth_outages
 from mems_ins_fusion.filter.config import FilterConfig
@@ -30,7 +30,7 @@ def rows_of(name: str, recording, values: dict):
     values = table.check(values)
     config, truth = FilterConfig.from_parameters(values), truth_of(recording, values)
     keep = samples_to_keep(recording.imu, truth.reference.stamp)
-    given = config, recording.imu, recording.gnss.select(thin(recording.gnss, 1.0))
+    given = config, recording.imu, recording.gnss.select(fixes_apart(recording.gnss, 1.0))
     filtered, after = run(*given, keep=keep), smoothed(*given, keep=keep)
     begin = outage_begins(int(filtered.stamp[0]), given[2], config.gnss.time_offset, SPACING, min(DURATIONS))
     both = (('filter', filtered, run_outages(*given, truth, DURATIONS, begin, keep=keep)),

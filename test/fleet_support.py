@@ -16,7 +16,7 @@ import pytest
 from mems_ins_fusion.__main__ import main
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.recordings.several import later
+from mems_ins_fusion.recordings.several import shifted_recording
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.samples import ImuSamples, Recording
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -46,7 +46,7 @@ def write_year(folder: Path, vehicles: int, drives: int) -> None:
             driven = simulate_drive(60.0, seed=seed, rate=20.0, standstill=5.0)
             recording = simulate_recording(driven, SENSORS, seed=seed).recording
             reference = recording.reference.select(slice(None, None, 5))
-            moved = later(recording, 70 * drive * DAY)
+            moved = shifted_recording(recording, 70 * drive * DAY)
             reference = replace(reference, stamp=reference.stamp + 70 * drive * DAY)
             write_recording(replace(moved, reference=reference), logs / f'car_{vehicle}' / f'drive_{drive}')
     broken = next((logs / 'car_1' / 'drive_3').glob('*.mcap'))
@@ -64,7 +64,7 @@ def write_late(path: Path, seed: int, backwards: bool = False) -> None:
     recording = simulate_recording(
         drive, SENSORS, GnssNoise(sigma=0.5), [(EFFECTS['gnss_time_offset'], {'time_offset': LATE})],
         [0.0, 0.0, np.pi] if backwards else [0.0, 0.0, 0.0], seed=seed).recording
-    write_recording(replace(later(recording, seed * DAY), reference=None), path)
+    write_recording(replace(shifted_recording(recording, seed * DAY), reference=None), path)
 
 
 def write_at_rest(path: Path, day: int, factor: float = 1.0) -> None:

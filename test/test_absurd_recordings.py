@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from fuzz_support import outcome
 
-from mems_ins_fusion.configuration.check import judge_mounting
-from mems_ins_fusion.configuration.configure import Setting, _possible, look
+from mems_ins_fusion.configuration.check import compare_mounting
+from mems_ins_fusion.configuration.configure import Setting, _possible, evidence_of_recording
 from mems_ins_fusion.configuration.mounting import deviation
-from mems_ins_fusion.diagnosis import judging
-from mems_ins_fusion.diagnosis.fit import Model, _finite
-from mems_ins_fusion.diagnosis.judgement import harm
+from mems_ins_fusion.diagnosis import candidate_proof
+from mems_ins_fusion.diagnosis.error_changes import larger_errors
+from mems_ins_fusion.diagnosis.fit import FittedModel, _finite
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.metrics import summary, turning_at
 from mems_ins_fusion.evaluation.outages import _fitting
@@ -38,7 +38,7 @@ def test_who_looks_at_raw_samples_survives(good, content):
     recording = fuzz_recordings.in_order(fuzz_recordings.KNOWN[content](good))
     findings = check_recording(recording)
     assert all(np.isfinite(v) for f in findings for v in f.values.values() if isinstance(v, float)), findings
-    judge_mounting(recording.imu, recording.gnss, table.defaults())
+    compare_mounting(recording.imu, recording.gnss, table.defaults())
     turning_at(recording.imu, np.eye(6), good.gnss.stamp)
 
 
@@ -75,7 +75,7 @@ def test_gaps_of_imu_and_fixes_in_turn_are_no_mounting(good):
     part, part_fix = ((samples.stamp - imu.stamp[0]) % (24 * 10**9) / 24e9 for samples in (imu, gnss))
     left = replace(good, imu=imu.select(part < 0.5), gnss=gnss.select(part_fix > 0.25))
     # then what is told of the mounting is near to what the whole drive tells, or nothing is told
-    whole, found = (look(r.name, r.imu, r.gnss).mounting for r in (good, left))
+    whole, found = (evidence_of_recording(r.name, r.imu, r.gnss).mounting for r in (good, left))
     assert whole.yaw_known
     away = deviation(found.rotation, whole.rotation)[:3 if found.yaw_known else 2]
     assert np.all(np.abs(away) < 3.0 * np.hypot(found.sigma, whole.sigma)[:len(away)])
@@ -109,8 +109,8 @@ def test_a_run_that_never_starts_has_no_outages():
 
 def test_a_correction_with_which_the_filter_does_not_run_is_no_correction():
     ran = {'what': 'outages of 10 s', 'count': 0, 'kept': 0.0, 'decides': True}
-    assert 'the filter runs in 0 %' in harm([ran])
-    assert harm([{**ran, 'kept': 1.0}]) == ''
+    assert 'the filter runs in 0 %' in larger_errors([ran])
+    assert larger_errors([{**ran, 'kept': 1.0}]) == ''
 
 
 def test_slopes_beyond_all_numbers_count_for_nothing():
@@ -126,25 +126,25 @@ def test_an_effect_that_has_lost_its_axes_is_refined_without_them(monkeypatch):
         attitude = None
 
     known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=Problem())
-    axes = judging.effect_unknowns(effect, dict(effect.tried[0]), None)
+    axes = candidate_proof.effect_unknowns(effect, dict(effect.tried[0]), None)
 
     def fit(problem, unknowns, x, iterations):
         assert len(unknowns) == len(x)
         fitted.append([u.name for u in unknowns])
-        return Model(problem, unknowns, np.asarray(x), np.eye(len(x)), None, None)
+        return FittedModel(problem, unknowns, np.asarray(x), np.eye(len(x)), None, None)
 
-    monkeypatch.setattr(judging, 'fit', fit)
-    monkeypatch.setattr(judging, 'also_determined', lambda *arguments: [])
-    monkeypatch.setattr(Model, 'likelihood', lambda self, mask: 0.0)
-    monkeypatch.setattr(Model, 'sigma', lambda self: np.ones(len(self.x)))
-    monkeypatch.setattr(judging, 'certainly_better', lambda one, other, gain: False)
-    monkeypatch.setattr(Model, 'moved', lambda self: self.problem)
+    monkeypatch.setattr(candidate_proof, 'fit', fit)
+    monkeypatch.setattr(candidate_proof, 'also_determined', lambda *arguments: [])
+    monkeypatch.setattr(FittedModel, 'likelihood', lambda self, mask: 0.0)
+    monkeypatch.setattr(FittedModel, 'sigma', lambda self: np.ones(len(self.x)))
+    monkeypatch.setattr(candidate_proof, 'certainly_better', lambda one, other, gain: False)
+    monkeypatch.setattr(FittedModel, 'moved', lambda self: self.problem)
     candidate = SimpleNamespace(effect=effect, fixed=dict(effect.tried[0]), undetermined={})
-    whole = Model(Problem(), axes, np.full(len(axes), 0.1), np.eye(len(axes)), None, None)
-    judging._completed(known, candidate, whole)
+    whole = FittedModel(Problem(), axes, np.full(len(axes), 0.1), np.eye(len(axes)), None, None)
+    candidate_proof._completed(known, candidate, whole)
     assert len(fitted) == len(effect.tried) and all(names[0] == axes[0].name for names in fitted)
-    pruned = Model(Problem(), [], np.empty(0), np.empty((0, 0)), None, None)
-    assert judging._completed(known, candidate, pruned) == (pruned, {}) and len(fitted) == len(effect.tried)
+    pruned = FittedModel(Problem(), [], np.empty(0), np.empty((0, 0)), None, None)
+    assert candidate_proof._completed(known, candidate, pruned) == (pruned, {}) and len(fitted) == len(effect.tried)
 
 
 # -- numbers that are none ---------------------------------------------------------------------------------------------

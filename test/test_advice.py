@@ -8,7 +8,7 @@ import pytest
 
 from mems_ins_fusion.configuration.mounting import estimate_mounting
 from mems_ins_fusion.configuration.offset import FLOOR, with_more
-from mems_ins_fusion.diagnosis.advice import SPEED, advised, driven_speed, shown
+from mems_ins_fusion.diagnosis.advice import SPEED, advised, driven_speed, fisher_information
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.held_out import HeldOut
@@ -94,7 +94,7 @@ def finding(name, **sigmas):
 def sigmas(effect, parameters, sigma, names):
     """What is left of a parameter without any other knowledge, by manoeuvre."""
     unknowns = [u for u in effect_unknowns(effect_called(effect), {}) if u.parameter in parameters]
-    return {name: np.diag(shown(name, unknowns, recorded(sigma), VALUES)) ** -0.5 for name in names}
+    return {name: np.diag(fisher_information(name, unknowns, recorded(sigma), VALUES)) ** -0.5 for name in names}
 
 
 @pytest.mark.parametrize('speed', [0.8, 9.0, 25.0])

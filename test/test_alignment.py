@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from mems_ins_fusion.configuration.check import judge_mounting
+from mems_ins_fusion.configuration.check import compare_mounting
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.memory import Head, views
 from mems_ins_fusion.filter.runs.live import FusionFilter
@@ -405,7 +405,7 @@ def test_the_start_and_the_later_checks_tell_the_same_direction(yaw):
     # when the start of the filter and the check of the mounting, which is that of all tools, look at it
     samples, positions = from_then_on(recording, 0.0)
     at_start = direction_in_motion(samples, blocks_of(samples), positions)
-    _, found = judge_mounting(recording.imu, recording.gnss, table.check({}), 0.0)
+    _, found = compare_mounting(recording.imu, recording.gnss, table.check({}), 0.0)
     # then both tell that, by different estimates
     assert found.yaw_known and abs(wrap(found.rpy[2] - math.radians(yaw))) < 4.0 * found.sigma[2]
     assert abs(wrap(at_start - found.rpy[2])) < 0.2

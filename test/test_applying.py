@@ -13,15 +13,15 @@ from std_srvs.srv import Trigger
 from test_online import OFFSET, SECOND, blind, finding
 
 from mems_ins_fusion.diagnosis import online
-from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven, with_applied
+from mems_ins_fusion.diagnosis.applying import WAIT, AnswerSchedule, live_output, with_applied
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.false_alarms import FALSE_ALARMS
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
 from mems_ins_fusion.diagnosis.online import OTHER, Online
-from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
+from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, EarlierFinding, FilterFindings
 from mems_ins_fusion.diagnosis.trial import DOUBTED, TAKEN_BACK, Trial
 from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
-from mems_ins_fusion.diagnosis.watch import Watch
+from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Nav, newest_row
@@ -60,8 +60,8 @@ def late():
 
 def test_an_answer_counts_some_chunks_after_its_own_or_when_it_is_there():
     # given answers that come in time
-    answer = [Findings({'a': {'x': k}}, {}) for k in range(3)]
-    due, told = Due({}), []
+    answer = [FilterFindings({'a': {'x': k}}, {}) for k in range(3)]
+    due, told = AnswerSchedule({}), []
     for k in range(4):
         told.append(due.at_end_of_chunk())
         due.handed()
@@ -69,7 +69,7 @@ def test_an_answer_counts_some_chunks_after_its_own_or_when_it_is_there():
     # then that of chunk k counts behind chunk k + WAIT, and what is not new is not told
     assert told == [None] * WAIT + [answer[0], None, answer[1]][:4 - WAIT] and due.late == 0
     # one that is late counts at the end of the first chunk after it
-    due, told = Due({}), []
+    due, told = AnswerSchedule({}), []
     for k in range(6):
         if k == 4:
             due.answered(answer[1])
@@ -77,26 +77,26 @@ def test_an_answer_counts_some_chunks_after_its_own_or_when_it_is_there():
         due.handed()
     assert told == [None, None, None, None, answer[1], None] and due.late == 6 - WAIT - 1
     # and what a user asks counts at once, also against answers that were given before
-    due = Due(answer[1].applied)
+    due = AnswerSchedule(answer[1].applied)
     for _ in range(2):
         due.handed()
         due.answered(answer[2])
-    due.answered(Findings({}, {}), is_chunk=False)
-    assert due.asked() == Findings({}, {}) and due.asked() is None and due.at_end_of_chunk() is None
+    due.answered(FilterFindings({}, {}), is_chunk=False)
+    assert due.asked() == FilterFindings({}, {}) and due.asked() is None and due.at_end_of_chunk() is None
 
 
 def test_an_answer_that_does_not_know_what_was_dropped_does_not_bring_it_back():
     # given two findings that drive, of which one is dropped while the answer to a chunk from before is awaited
     both = {'a': {'x': 1}, 'b': {'y': 2}}
-    due = Due(both)
+    due = AnswerSchedule(both)
     due.handed()
-    due.answered(Findings(both, {}))
+    due.answered(FilterFindings(both, {}))
     due.dropped('a')
     assert due.unknown_to(0) == {'a'} and due.unknown_to(1) == set()
     # then that answer says nothing new, and the one to the chunk in which it was dropped counts as it is
     assert due.at_end_of_chunk() is None
     due.handed()
-    again = Findings({'a': {'x': 3}, 'b': {'y': 2}}, {'c': {'z': 1}})
+    again = FilterFindings({'a': {'x': 3}, 'b': {'y': 2}}, {'c': {'z': 1}})
     due.answered(again)
     assert due.at_end_of_chunk() == again
 
@@ -328,13 +328,14 @@ def test_what_is_proven_is_applied_and_the_fixes_are_met(late, monkeypatch):
     north, east, _ = to_local(truth.latitude, truth.longitude, truth.height, datum)
 
     def error(values, watch=None):
-        run = driven(replace(late, reference=None), values, watch, datum, every=20)
+        run = live_output(replace(late, reference=None), values, watch, datum, every=20)
         last = run.stamp > late.imu.stamp[-1] - 120 * SECOND
         t = (run.stamp[last] - truth.stamp[0]) * 1e-9, (truth.stamp - truth.stamp[0]) * 1e-9
         off = run.odometry[last, :2] - np.column_stack([np.interp(*t, east), np.interp(*t, north)])
         return math.sqrt((off**2).sum(axis=1).mean()), run
     answers = iter([[finding()]])
-    watch = Watch(late, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []), look=blind)
+    watch = RecordingWatch(late, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []),
+                           look=blind)
     (applied, run), (given, _) = error(APPLY, watch), error({**APPLY, 'gnss.time_offset': OFFSET})
     assert len(run.handovers) == 1 and applied == pytest.approx(given, rel=0.2)
     assert applied < 0.5 * error(APPLY)[0] and not run.dropped
@@ -366,9 +367,9 @@ def test_what_has_become_wrong_is_dropped_within_a_minute(monkeypatch):
                                   for name, samples in recording.streams().items()})
     changed, answers = recording.imu.stamp[0] + 480 * SECOND, iter([[finding()]])
     monkeypatch.setattr(online, 'FIRST', CHUNK)
-    watch = Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, look=blind,
-                  find=lambda part, values: next(answers, []))
-    run = driven(replace(recording, reference=None), APPLY, watch, every=20)
+    watch = RecordingWatch(recording, {**APPLY, 'diagnosis.window': 300.0}, look=blind,
+                           find=lambda part, values: next(answers, []))
+    run = live_output(replace(recording, reference=None), APPLY, watch, every=20)
     # then the filter that ran on without it takes over within a minute, knows from when on it is right,
     dropped, = run.dropped
     assert dropped.name == NAME and 0.0 < (dropped.stamp - changed) / SECOND < 60.0
@@ -385,12 +386,12 @@ def test_what_has_become_wrong_is_dropped_within_a_minute(monkeypatch):
 
 
 def test_what_an_earlier_drive_has_proven_is_suspect_until_it_is_proven_again(late, monkeypatch):
-    right = Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})
+    right = EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET})
     said, _ = of_chunks(late, [], monkeypatch, [right], count=10)
     assert said[0] == ({NAME: (SUSPECT, True)}, {'gnss.time_offset': OFFSET})
     assert said[-1] == ({NAME: (FINE, True)}, {'gnss.time_offset': OFFSET})
     # and goes where it is wrong by now
-    wrong = Kept(NAME, finding().parameters, {'gnss.time_offset': -OFFSET})
+    wrong = EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': -OFFSET})
     said, _ = of_chunks(late, [], monkeypatch, [wrong], count=10)
     assert said[0][1] == {'gnss.time_offset': -OFFSET} and said[-1] == ({NAME: (SUSPECT, False)}, {})
 
@@ -398,7 +399,7 @@ def test_what_an_earlier_drive_has_proven_is_suspect_until_it_is_proven_again(la
 def test_two_turns_take_back_what_the_last_minutes_show_to_be_another(late):
     # given an offset that drives, and outages that speak against it by as much as two turns do of an antenna
     def after_a_look(look):
-        work = Online(APPLY, blind, look, [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})])
+        work = Online(APPLY, blind, look, [EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET})])
         trial = work.applied[NAME]
         for bets in trial.bets.values():
             bets.con = math.log(2.0 * DOUBTED)
@@ -440,10 +441,11 @@ HERE = {'stamp': 1_000 * SECOND, 'latitude': 0.84, 'longitude': 0.2, 'height': 4
 
 def test_the_state_file_keeps_it_for_the_same_sensors(tmp_path):
     path = tmp_path / 'state.json'
-    kept = [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, HERE['stamp'] - 5)]
+    kept = [EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, HERE['stamp'] - 5)]
     file = StateFile(path, 1.0, 1.0)
     assert file.write(HERE, kept, TOPICS) is None
-    assert file.write(HERE, [Kept('x', {}, {'gnss.time_offset': 0.1})], {**TOPICS, 'gnss_topic': '/other'}) is None
+    assert file.write(HERE, [EarlierFinding('x', {}, {'gnss.time_offset': 0.1})],
+                      {**TOPICS, 'gnss_topic': '/other'}) is None
     again = StateFile(path, 1.0, 1.0)
     assert again.read() is None
     found, said = again.calibration(TOPICS)
@@ -481,7 +483,7 @@ def test_another_device_is_told_from_what_its_messages_say():
 
 def test_the_state_file_keeps_which_devices_it_was_found_on(tmp_path):
     path, devices = tmp_path / 'state.json', {IMU: {'frame_id': 'imu', 'rate': 100.0}}
-    kept = [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})]
+    kept = [EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET})]
     assert StateFile(path, 1.0, 1.0).write(HERE, kept, TOPICS, devices) is None
     again = StateFile(path, 1.0, 1.0)
     assert again.read() is None
@@ -495,7 +497,7 @@ def test_the_state_file_keeps_which_devices_it_was_found_on(tmp_path):
 def test_what_is_kept_is_less_sure_the_longer_nobody_has_seen_it(late, monkeypatch):
     # given an offset of +- 0.02 s that was proven a month before this drive, and one of ten years ago
     begin, day = int(late.imu.stamp[0]), 86_400 * SECOND
-    month, years = (Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, begin - age * day)
+    month, years = (EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, begin - age * day)
                     for age in (30, 3650))
     # then the variance has grown by a twelfth of what would surprise nobody in a year (0.1 s), and by no more than that
     usual = next(one for one in effect_called(NAME).parameters if one.name == 'time_offset').prior_scale
@@ -529,7 +531,8 @@ def test_a_user_may_accept_and_reject():
 def test_the_node_begins_with_what_is_kept_and_does_what_a_user_asks(tmp_path, peer, late):
     # given a node with what an earlier drive has proven of its sensors
     path, topics = tmp_path / 'state.json', {**TOPICS, 'gnss_topic': '/gps/fix'}
-    assert StateFile(path, 1.0, 1.0).write(HERE, [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})],
+    assert StateFile(path, 1.0, 1.0).write(HERE,
+                                           [EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET})],
                                            topics) is None
     with NodeProcess('fusion_node', *PLAYABLE, '-p', 'diagnosis.online:=apply', '-p', f'state_file:={path}') as node:
         node.wait_for(f'gnss_time_offset of an earlier drive: gnss.time_offset: {OFFSET}')
@@ -622,7 +625,7 @@ def test_what_is_doubted_is_looked_at_with_each_chunk(late, monkeypatch, harm, l
     monkeypatch.setattr(online, 'LATEST', 0.5 * CHUNK)
     count, seen = [], []
     work = Online(APPLY, blind, lambda part, values: count.append(1) or [],
-                  [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, 0)])
+                  [EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, 0)])
     monkeypatch.setattr(Trial, 'harm', property(lambda trial: harm))
     for chunk in list(chunks(replace(late, gnss=late.gnss.select(slice(0, 0)))))[1:6]:
         work.take(chunk)

@@ -54,8 +54,8 @@ def perfect(prepared, north=0.0):
     latitude, longitude, height = from_local(n + north, e, d, prepared.datum)
     zero = np.zeros(len(r))
     speed = np.gradient(np.column_stack([n, e]), r.stamp * 1e-9, axis=0)
-    return tracks.Track(r.stamp, latitude, longitude, height, zero, zero, zero, speed,
-                        np.full((len(r), 2), 2.0), zero)
+    return tracks.FilterTrack(r.stamp, latitude, longitude, height, zero, zero, zero, speed,
+                              np.full((len(r), 2), 2.0), zero)
 
 
 def test_each_recording_is_there_without_the_truth(place, prepared):
@@ -190,7 +190,7 @@ def test_a_filter_that_knows_of_no_rotating_earth_follows_to_millimetres(prepare
 
 def test_an_own_filter_that_does_not_start_is_one_line(prepared, monkeypatch):
     # given no fix that could be used
-    monkeypatch.setattr(bench, 'thin', lambda fixes, interval: np.empty(0, int))
+    monkeypatch.setattr(bench, 'fixes_apart', lambda fixes, interval: np.empty(0, int))
     # when this package's filter is measured, then the bench says so
     with pytest.raises(bench.BenchError, match=f'^{bench.FULL}: the filter does not start'):
         bench.own_tracks(replace(prepared, recordings={bench.FULL: prepared.recordings[bench.FULL]}), {})

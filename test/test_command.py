@@ -70,6 +70,9 @@ def test_a_parameter_given_as_an_option_is_answered_with_the_file(words, hint, c
 def test_a_misspelled_parameter_of_a_file_is_answered_too():
     with pytest.raises(ParameterError, match="did you mean 'gnss.max_delay'"):
         check({'gnss.maxdelay': 1.0})
+    # but a name of which only the group is right is like no other one of the group
+    with pytest.raises(ParameterError, match="unknown parameter 'gnss.antenna'$"):
+        check({'gnss.antenna': 1.0})
 
 
 def test_a_node_started_without_ros_args_says_what_is_missing(capsys):

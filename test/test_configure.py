@@ -13,8 +13,8 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.__main__ import main
-from mems_ins_fusion.configuration.check import check, check_setup, judge_mounting
-from mems_ins_fusion.configuration.configure import configure, configured, look
+from mems_ins_fusion.configuration.check import check, check_setup, compare_mounting
+from mems_ins_fusion.configuration.configure import configure, configured, evidence_of_recording
 from mems_ins_fusion.configuration.drive_settings import vehicle_settings
 from mems_ins_fusion.configuration.mounting import Mounting, deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.noise import find_noise
@@ -59,7 +59,7 @@ def check_mounting(made, values):
 
 
 def contradictions(imu, fixes, mounting, lag=None):
-    return judge_mounting(imu, fixes, table.check({'imu.mounting_rpy': mounting}), lag)[0]
+    return compare_mounting(imu, fixes, table.check({'imu.mounting_rpy': mounting}), lag)[0]
 
 
 def recording(segments=SHORT, mounting=(0.0, 0.0, 0.0), seed=0, sensors=None, sigma=0.5, rate=5.0, effects=(),
@@ -336,7 +336,7 @@ def test_the_checker_says_what_configure_says_of_a_long_recording():
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     made = simulate_recording(drive, sensors, GnssNoise(0.05, 1.0), [late], seed=0).recording
     # when the checker and configure look at it
-    found = look('drive', made.imu, made.gnss).mounting.offset
+    found = evidence_of_recording('drive', made.imu, made.gnss).mounting.offset
     said, = (finding for finding in check_setup(made, table.defaults()) if 'lag_s' in finding.values)
     # then it is one estimate, and it is right
     assert (said.values['lag_s'], said.values['sigma_s']) == (found.lag, found.lag_sigma)
@@ -349,7 +349,7 @@ def test_the_checker_says_of_the_scatter_and_the_mounting_what_configure_says(fa
     # given a receiver that states its sigma wrong by `factor`
     made = recording(sigma=0.02)
     made = replace(made, gnss=replace(made.gnss, covariance=factor**2 * made.gnss.covariance))
-    seen = look('drive', made.imu, made.gnss)
+    seen = evidence_of_recording('drive', made.imu, made.gnss)
     # when its sigmas are believed; then the scatter is that of configure, and right
     said = {f.topic: f for f in check_setup(made, table.check({'gnss.adapt_sigma': False}))
             if f.values.keys() & {'scatter_m', 'roll'}}
@@ -545,7 +545,7 @@ def test_a_recording_at_rest_says_what_it_does_not_show():
 def settings(made):
     topics = Topics(*((Candidate(topic, len(samples), 1.0, 0.0, 1.0, False, samples),)
                       for topic, samples in (('/imu', made.imu), ('/fix', made.gnss))), ())
-    return configured(topics, [look('drive', made.imu, made.gnss)], [made.gnss])
+    return configured(topics, [evidence_of_recording('drive', made.imu, made.gnss)], [made.gnss])
 
 
 def test_the_constraint_is_left_out_only_where_a_vehicle_is_seen_to_slide():

@@ -19,7 +19,7 @@ from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.recordings.aiding import forwards
+from mems_ins_fusion.recordings.aiding import forward_speed
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.samples import Aiding
@@ -264,7 +264,7 @@ def test_of_an_odometry_the_turn_rate_tells_a_low_pass_that_the_speed_leaves_ope
                               [(EFFECTS['twist_lag'], {'tau': 0.42})], seed=58,
                               aiding=SimulatedAiding(twist_rate=50.0)).recording
     mounting = Mounting(np.eye(3), np.full(3, 0.01))
-    by_speed = clock_of('speed', forwards(made.streams()['twist']), made.imu, None, mounting).low_pass
+    by_speed = clock_of('speed', forward_speed(made.streams()['twist']), made.imu, None, mounting).low_pass
     found = clock_of('twist', made.streams()['twist'], made.imu, None, mounting)
     # then the turn rate makes it certain
     assert not by_speed.certain
@@ -278,7 +278,7 @@ def test_an_odometry_is_one_where_the_yaw_of_the_mounting_is_not_known():
     rotation, still = rotation_from_rpy(*MOUNTING), np.zeros(len(made.imu), dtype=bool)
     mounting = Mounting(rotation, np.array([0.01, 0.01, np.inf]))
     twist = made.streams()['twist']
-    read = {'/odom': {'speed': forwards(twist), 'twist': twist}}
+    read = {'/odom': {'speed': forward_speed(twist), 'twist': twist}}
     shown, = shown_inputs(read, {}, made.imu, made.gnss, still, mounting)
     # then its turn rate is that of the gyroscopes, and tells its clock
     assert shown.measurement.name == 'twist'

@@ -8,7 +8,7 @@ import pytest
 
 from mems_ins_fusion.cli.simulate import main as simulate
 from mems_ins_fusion.configuration.baseline import estimate_baseline
-from mems_ins_fusion.configuration.check import judge_mounting
+from mems_ins_fusion.configuration.check import compare_mounting
 from mems_ins_fusion.configuration.configure import configure
 from mems_ins_fusion.configuration.regression import jackknife
 from mems_ins_fusion.parameters import table
@@ -115,7 +115,7 @@ def looked_at(seed, part, *receivers, scene=FLAT, since=0.0):
         begin, end = (made.imu.stamp[0] + int(at * 1e9) for at in (since, part))
         imu, fixes = (samples.select((samples.stamp >= begin) & (samples.stamp < end))
                       for samples in (made.imu, made.gnss))
-        yield judge_mounting(imu, fixes, table.defaults(), 0.0)
+        yield compare_mounting(imu, fixes, table.defaults(), 0.0)
 
 
 def test_noise_of_the_fixes_of_a_slow_robot_is_not_taken_for_its_speed():

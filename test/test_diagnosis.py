@@ -9,7 +9,7 @@ from filter_support import PAPER
 
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.fit import fit, scores
-from mems_ins_fusion.diagnosis.folds import parts
+from mems_ins_fusion.diagnosis.folds import part_masks
 from mems_ins_fusion.diagnosis.held_out import held_out
 from mems_ins_fusion.diagnosis.noise import noise_unknowns
 from mems_ins_fusion.diagnosis.problem import DiagnosisError, Problem
@@ -175,7 +175,7 @@ def test_a_placebo_does_not_help_on_data_it_was_not_fitted_to(seed):
     assert not proof.helps
     # and a part that does not show it, within 1.96 sigma, would not have led to it: there it is left out
     longer = fit(problem, unknowns, np.zeros(2))
-    for part, estimate in zip(parts(problem), proof.estimates, strict=True):
+    for part, estimate in zip(part_masks(problem), proof.estimates, strict=True):
         x, covariance = longer.refitted(problem.mask & ~part, 1)
         assert (estimate[1] == 0.0) == (abs(x[1]) < 1.96 * np.sqrt(covariance[1, 1]))
     assert any(estimate[1] == 0.0 for estimate in proof.estimates)
@@ -196,7 +196,8 @@ def test_an_effect_outside_the_library_is_not_blamed_on_one_inside(plain):
     # then something stays unexplained, and it is said where and with what it goes
     assert result.unexplained
     assert {('forward accelerometer', 'forward acceleration squared'),
-            ('lateral accelerometer', 'lateral acceleration squared')} <= {(r.where, r.what) for r in result.rest}
+            ('lateral accelerometer', 'lateral acceleration squared')} <= {(r.where, r.what)
+                                                                           for r in result.correlations}
 
 
 def test_a_bias_that_goes_with_speed_is_named_and_measured(plain):
@@ -207,7 +208,7 @@ def test_a_bias_that_goes_with_speed_is_named_and_measured(plain):
     recording = replace(plain, imu=replace(plain.imu, angular_rate=rate))
     result = diagnose(recording, VALUES, effects=FEW, **OUTAGES)
     assert result.unexplained
-    found = {(r.where, r.what): r for r in result.rest}
+    found = {(r.where, r.what): r for r in result.correlations}
     here = found['vertical gyroscope', 'speed']
     assert here.p < 1e-6 and here.unit == 'rad/s'
     # then its RMS is found, about the mean, of which the bias state takes care; a linear step from zero, so roughly

@@ -9,10 +9,10 @@ from filter_support import PAPER
 
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
+from mems_ins_fusion.diagnosis.error_changes import objection
 from mems_ins_fusion.diagnosis.fit import scores
-from mems_ins_fusion.diagnosis.folds import parts
+from mems_ins_fusion.diagnosis.folds import part_masks
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.judgement import objection
 from mems_ins_fusion.diagnosis.noise import noise_unknowns
 from mems_ins_fusion.diagnosis.problem import Problem
 from mems_ins_fusion.diagnosis.tracing import effect_unknowns
@@ -88,13 +88,13 @@ def test_all_runs_are_compared_by_the_residuals_of_the_filter_as_given(pair):
 
 def test_two_drives_are_held_out_in_parts_and_three_as_wholes(problems):
     two = Drives(problems)
-    for part in parts(two):  # each part has something of each drive
+    for part in part_masks(two):  # each part has something of each drive
         assert part[two.slices[0]].any() and part[two.slices[1]].any()
     three = Drives([*problems, problems[0]])
-    shares = [[part[where].mean() for where in three.slices] for part in parts(Drives([*problems, problems[0]]))]
-    assert len(parts(two)) == 4 and len(shares) == 3
+    shares = [[part[where].mean() for where in three.slices] for part in part_masks(Drives([*problems, problems[0]]))]
+    assert len(part_masks(two)) == 4 and len(shares) == 3
     for problem in (two, three):
-        together = np.sum(parts(problem), axis=0)
+        together = np.sum(part_masks(problem), axis=0)
         assert together[problem.mask].min() >= 1 and not together[~problem.mask].any()
 
 
@@ -143,7 +143,7 @@ def test_an_effect_that_is_weak_in_each_drive_is_found_in_all_together():
     # when all are, it is, and each drive says its share
     result = diagnose(drives, values, effects=FEW, **outages)
     [finding] = added(result)
-    assert finding.name == 'gnss_time_offset' and not finding.apart
+    assert finding.name == 'gnss_time_offset' and not finding.drives_contradict
     offset = finding.parameters['time_offset']
     assert abs(offset.value - 0.2) < 3 * offset.sigma < 0.2
     assert set(finding.drives) == {'drive_1', 'drive_2', 'drive_3'}
@@ -167,7 +167,7 @@ def test_what_one_drive_alone_has_is_told_and_not_added_for_all():
     assert not added(result) and result.corrected['gnss.time_offset'] == 0.0
     # then it is told which one
     [finding] = [f for f in result.findings if f.name == 'gnss_time_offset']
-    assert finding.apart and 'contradict each other' in finding.reason
+    assert finding.drives_contradict and 'contradict each other' in finding.reason
     for own, offset in zip(finding.drives.values(), offsets):
         assert own['time_offset'].value == pytest.approx(offset, abs=0.1)
 

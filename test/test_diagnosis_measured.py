@@ -7,7 +7,7 @@ from undeclared import with_undeclared
 
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.effects.registry import EFFECTS
-from mems_ins_fusion.evaluation.comparison import cut
+from mems_ins_fusion.evaluation.comparison import time_span
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
 
@@ -21,7 +21,7 @@ EFFECTS_TRIED = [EFFECTS[name] for name in ('gnss_time_offset', 'gnss_lever_arm'
 @pytest.fixture(scope='module')
 def drive():
     """City streets, then tight turns, of which nobody said that fixes are stamped a quarter of a second early."""
-    return cut(read_recording(shared_data('longmont_rtk_drive') / 'bag', '/imu/data', '/gps/fix'), 0.0, 300.0)
+    return time_span(read_recording(shared_data('longmont_rtk_drive') / 'bag', '/imu/data', '/gps/fix'), 0.0, 300.0)
 
 
 def found(recording):

@@ -8,16 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mems_ins_fusion.diagnosis.clock import lateness, lateness_against, whose
+from mems_ins_fusion.diagnosis.clock import lateness, lateness_against, reference_clock_of
 from mems_ins_fusion.diagnosis.drives import Drives
+from mems_ins_fusion.diagnosis.error_changes import compared, larger_errors
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.fit import fit
 from mems_ins_fusion.diagnosis.held_out import held_out
-from mems_ins_fusion.diagnosis.judgement import compared, harm
-from mems_ins_fusion.diagnosis.learned_mounting import angles
-from mems_ins_fusion.diagnosis.measured import fairly, measure
+from mems_ins_fusion.diagnosis.learned_mounting import learned_angles
+from mems_ins_fusion.diagnosis.measured import measure_errors, without_clock_of_truth
 from mems_ins_fusion.diagnosis.noise import calibrated, noise_unknowns
-from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, stated, with_covariances, without_adaptation
+from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, stated_covariances, with_covariances, without_adaptation
 from mems_ins_fusion.diagnosis.trial_runs import FOR_EFFECTS, FOR_LEVELS, REPORTED, TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import compare, truth_of
@@ -25,7 +25,7 @@ from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.reports.diagnosis import _interval, _noise, rounded_value, unexplained_text
-from mems_ins_fusion.reports.effect_words import size
+from mems_ins_fusion.reports.effect_words import size_text
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 OFFSET = 0.3  # s
@@ -71,12 +71,12 @@ def test_how_late_the_reference_is_against_the_fixes(late):
                                                  ('gnss', 'gnss', 'gnss'), ('own', 'own', 'own')])
 def test_whose_clock_the_reference_runs_in(late, name, shared, alone):
     # given a reference in the receiver's clock, one in the IMU's, and fixes that are too few to tell
-    assert whose(in_receivers_clock(late), name).name == shared
-    assert whose(late, name).name == alone
+    assert reference_clock_of(in_receivers_clock(late), name).name == shared
+    assert reference_clock_of(late, name).name == alone
     few = replace(in_receivers_clock(late), gnss=late.gnss.select(slice(0, 10)))
-    assert whose(few, name).name == alone
+    assert reference_clock_of(few, name).name == alone
     # without a reference the fixes are the truth
-    assert whose(replace(late, reference=None), name).name == 'gnss'
+    assert reference_clock_of(replace(late, reference=None), name).name == 'gnss'
 
 
 def test_a_reference_in_the_receivers_clock_is_as_late_as_the_fixes(late):
@@ -85,7 +85,7 @@ def test_a_reference_in_the_receivers_clock_is_as_late_as_the_fixes(late):
     recording = in_receivers_clock(late)
     problem = Problem(recording, values)
     problem.reference_clock = 'gnss'
-    found = measure(problem, recording, recording.imu, [values], [10.0], 20.0)
+    found = measure_errors(problem, recording, recording.imu, [values], [10.0], 20.0)
     # then it is as good as it is; with twice the offset between them it would be 2 v OFFSET = 8 m off
     assert np.sqrt(np.mean(found.continuous.horizontal**2)) < 1.0
     # and the stamps are those of the truth given, by which models with other offsets are compared
@@ -101,7 +101,7 @@ def test_the_errors_without_fixes_are_those_of_a_replay():
                           'models': ['gauss_markov'], 'update_intervals': [1.0]})
     recording = replace(recording, reference=None)
     # when a diagnosis measures them, and a replay does
-    found = measure(Problem(recording, values), recording, recording.imu, [values], [10.0], 17.0).outages[0]
+    found = measure_errors(Problem(recording, values), recording, recording.imu, [values], [10.0], 17.0).outages[0]
     [replayed] = [result.outages for result in compare(recording, values).outages]
     # then outages begin at the same fixes, and errors are the same
     assert len(found.begin) == 3
@@ -117,7 +117,7 @@ def test_a_reference_of_its_own_clock_judges_all_but_time(late, clock, offset):
     off = replace(late.reference, stamp=late.reference.stamp + round(clock * 1e9))
     problem = Problem(replace(late, reference=off), values)
     problem.reference_clock = 'own'
-    found = measure(problem, replace(late, reference=off), late.imu, [values], [10.0], 20.0)
+    found = measure_errors(problem, replace(late, reference=off), late.imu, [values], [10.0], 20.0)
     # then the errors are as small as if both ran in one clock, and their stamps are those of the reference
     assert np.isin(found.continuous.stamp, off.stamp).all()
     assert np.sqrt(np.mean(found.continuous.horizontal**2)) < 1.0
@@ -136,31 +136,33 @@ def test_no_offset_is_vetoed_by_the_clock_of_a_reference(late, clock, veto):
     for name in ('imu', 'auto'):
         problem = Problem(recording, table.check({}))
         problem.reference_clock = name
-        found[name] = [measure(problem, recording, late.imu, [table.check({'gnss.time_offset': offset})], [], 20.0)
+        found[name] = [measure_errors(problem, recording, late.imu, [table.check({'gnss.time_offset': offset})], [],
+                                      20.0)
                        for offset in (0.0, OFFSET)]
     # then a clock that is not known does not speak against it, even where errors with that clock taken for the IMU's do
-    assert bool(harm(compared(*found['imu']))) == veto
-    assert not harm(compared(*found['auto']))
+    assert bool(larger_errors(compared(*found['imu']))) == veto
+    assert not larger_errors(compared(*found['auto']))
     # and where they do not, it speaks for it
     before, after = found['auto']
-    assert fairly(before, after) == ((before.timeless, after.timeless) if veto else (before, after))
+    expected = (before.without_offset, after.without_offset) if veto else (before, after)
+    assert without_clock_of_truth(before, after) == expected
 
 
 @pytest.mark.parametrize('pitch, yaw', [(0.0, 0.1), (0.05, -0.08)])
 def test_the_mountings_angles_are_those_that_the_filter_has_learned(pitch, yaw):
     recording = recorded(240.0, 0.1, [('mounting_rotation', {'roll': 0.0, 'pitch': pitch, 'yaw': yaw})])
-    found = angles(recording, table.check({}))
+    found = learned_angles(recording, table.check({}))
     for name, true in (('pitch', pitch), ('yaw', yaw)):
         assert found.whole[name].value == pytest.approx(true, abs=0.02)
     assert set(found.plain) == ({'yaw'} | ({'pitch'} if pitch else set()))
     # and declaring them takes them out
     declared = EFFECTS['mounting_rotation'].adjusted(table.check({}), {'roll': 0.0, **{
         name: e.value for name, e in found.whole.items()}})
-    assert not angles(recording, declared).plain
+    assert not learned_angles(recording, declared).plain
 
 
 def test_a_mounting_that_is_no_state_is_not_learned():
-    assert angles(recorded(60.0), table.check({'imu.mounting_sigma': 0.0})) is None
+    assert learned_angles(recorded(60.0), table.check({'imu.mounting_sigma': 0.0})) is None
 
 
 def test_the_search_looks_through_a_filter_that_adapts_to_nothing(late):
@@ -169,13 +171,14 @@ def test_the_search_looks_through_a_filter_that_adapts_to_nothing(late):
     assert config.gnss.gate == config.parameters['gnss.robust_sigma'] == 0 and not config.parameters['gnss.adapt_sigma']
     assert 'time_offset' not in config.layout.names
     # each fix is believed as the filter of the user would, and FLOOR
-    fixes = with_covariances(late.gnss, stated(late.gnss, values), np.log(2.0), np.arange(len(late.gnss)) == 7)
+    fixes = with_covariances(late.gnss, stated_covariances(late.gnss, values), np.log(2.0),
+                             np.arange(len(late.gnss)) == 7)
     assert np.allclose(fixes.covariance[:, 0, 0], (2 * 0.7) ** 2 + FLOOR**2)
     assert np.flatnonzero(fixes.status < 0).tolist() == [7]
-    told = stated(late.gnss, table.check({}))
+    told = stated_covariances(late.gnss, table.check({}))
     assert np.allclose(told[:, :2, :2], late.gnss.covariance[:, :2, :2])
     silent = replace(late.gnss, covariance_type=np.zeros(len(late.gnss), dtype=np.uint8))
-    assert np.allclose(stated(silent, table.check({}))[:, 0, 0], 9.0)
+    assert np.allclose(stated_covariances(silent, table.check({}))[:, 0, 0], 9.0)
 
 
 @pytest.mark.parametrize('told', [True, False])
@@ -226,7 +229,7 @@ def test_a_fix_that_is_far_off_is_set_aside(late):
     ('g_sensitivity', 'x', 1e-3, 1e-4, '(rad/s)/(m/s^2)', 'x 0.0010'),
 ])
 def test_the_size_of_an_effect_in_words(effect, parameter, value, sigma, unit, said):
-    assert said in size(effect, parameter, Estimate(value, sigma, unit))
+    assert said in size_text(effect, parameter, Estimate(value, sigma, unit))
 
 
 @pytest.mark.parametrize('name', EFFECTS)
@@ -276,7 +279,7 @@ def test_what_stays_unexplained_may_be_a_low_pass_that_the_filter_has_no_model_o
                           'left.type': 'speed', 'left.topic': '/left'})
     rest = SimpleNamespace(where='position along the track', what='forward acceleration', rms=0.11, sigma=0.03,
                            unit='m')
-    told = unexplained_text(SimpleNamespace(unexplained=True, rest=[rest], values=values,
+    told = unexplained_text(SimpleNamespace(unexplained=True, correlations=[rest], values=values,
                                             findings=[SimpleNamespace(name=found, added=added)]))
     # then the positions are not the only cause that is named, where the filter corrects the offset alone
     assert 'position along the track that goes with forward acceleration (0.110 m RMS).' in told

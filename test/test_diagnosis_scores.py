@@ -11,34 +11,34 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, ttest_1samp
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
-from mems_ins_fusion.diagnosis import judging
+from mems_ins_fusion.diagnosis import candidate_proof
 from mems_ins_fusion.diagnosis.conclusion import (
     NOT_EACH,
     PREDICTS_WORSE,
     Correction,
-    Tried,
+    MeasuredCorrection,
     _as_measured,
     _chosen,
     _noise_remarks,
     _switched,
 )
 from mems_ins_fusion.diagnosis.detection import detect
-from mems_ins_fusion.diagnosis.estimate import Estimate, widened
-from mems_ins_fusion.diagnosis.fit import Model, Scores, _scores, fit
-from mems_ins_fusion.diagnosis.folds import parts
-from mems_ins_fusion.diagnosis.held_out import HeldOut, certainly_better
-from mems_ins_fusion.diagnosis.judgement import (
+from mems_ins_fusion.diagnosis.error_changes import (
     ONE_SIDED,
     candidates,
     compared,
     gain_proven,
-    harm,
-    judged,
+    larger_errors,
     objection,
     objection_to_errors,
     predicted,
+    verdict_on,
 )
-from mems_ins_fusion.diagnosis.measured import Measured, in_common
+from mems_ins_fusion.diagnosis.estimate import Estimate, widened
+from mems_ins_fusion.diagnosis.fit import FittedModel, Scores, _scores, fit
+from mems_ins_fusion.diagnosis.folds import part_masks
+from mems_ins_fusion.diagnosis.held_out import HeldOut, certainly_better
+from mems_ins_fusion.diagnosis.measured import MeasuredErrors, in_common
 from mems_ins_fusion.diagnosis.noise_levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
 from mems_ins_fusion.diagnosis.plausible import implausible
@@ -318,7 +318,7 @@ def test_what_speaks_against_an_effect():
     assert 'ellipse' in objection(likely, [row(4.0, 3.2, within=(0.97, 0.74))])
     # nor against an effect that is certain
     assert objection(sure, [row(4.0, 3.2, within=(0.97, 0.74))]) == ''
-    assert harm([row(4.0, 1.5, within=(0.97, 0.74))])
+    assert larger_errors([row(4.0, 1.5, within=(0.97, 0.74))])
     said = 'too small a gain on data it was not fitted to (log likelihood +5.0, p 0.4)'
     assert objection(weak, [alike]).startswith(said)
     assert objection(little, [alike]).startswith('too small') and objection(likely, [alike]) == ''
@@ -344,17 +344,17 @@ def test_what_speaks_against_an_effect():
     ([row(4.0, 2.0), row(10.0, 30.0, 0.001)], True),
 ])
 def test_what_is_harm(rows, harmed):
-    assert bool(harm(rows)) == harmed
+    assert bool(larger_errors(rows)) == harmed
     assert not (harmed and proven(rows))
 
 
 def test_outages_that_overlap_are_not_each_a_proof():
     # given ellipses that miss five of 36 outages, these all apart, or of 60 s and begun every 20 s
     held = row(40.0, 30.0, within=(1.0, 31 / 36), count=36)
-    assert 'ellipse' in harm([held]) and not harm([held | {'apart': 12}])
+    assert 'ellipse' in larger_errors([held]) and not larger_errors([held | {'apart': 12}])
     # nor is one of five that is missed once more where two were missed already
     missed = row(40.0, 30.0, within=(0.6, 0.4), count=5)
-    assert not harm([missed]) and 'ellipse' in harm([missed | {'within_after': 0.2}])
+    assert not larger_errors([missed]) and 'ellipse' in larger_errors([missed | {'within_after': 0.2}])
     # and where about the same errors come to be held in three of ten outages more, which may be one stretch of road
     healed = row(40.0, 42.0, within=(0.6, 0.9), count=10)
     assert proven([healed]) and not proven([healed | {'apart': 3}])
@@ -363,7 +363,7 @@ def test_outages_that_overlap_are_not_each_a_proof():
 def overlapping(duration, spacing, count):
     begin = np.arange(count) * round(spacing * 1e9)
     there = np.ones(count)
-    return Measured(
+    return MeasuredErrors(
         Errors(**dict.fromkeys(Errors.__dataclass_fields__, np.zeros(0))),
         [Outages(duration=duration, time=np.zeros(0), errors=[], begin=begin, max_error=there, distance=there,
                  within=there > 0, growth=there, sigma=there, kept=there, announced=there, crossed=there)], True,
@@ -386,12 +386,12 @@ def test_means_before_and_after_are_of_the_same_outages():
     whole, late = replace(whole, continuous=epochs), replace(late, continuous=epochs.select(np.arange(100) >= 10))
     # then both ways round, in single drives and without lateness, too, the same ones are left
     for one, other in ((whole, late), (late, whole)):
-        found = in_common(*(replace(m, drives={'a': m}, timeless=m) for m in (one, other)))
-        for measured in (found, found.drives['a'], found.timeless):
+        found = in_common(*(replace(m, drives={'a': m}, without_offset=m) for m in (one, other)))
+        for measured in (found, found.drives['a'], found.without_offset):
             assert len(measured.outages[0].begin) == 9 and measured.outages[0].max_error.mean() == 1.0
             assert measured.continuous.stamp.tolist() == list(range(10, 100))
     # and where one of them has no lateness of its own, neither is measured without it
-    assert in_common(replace(whole, timeless=whole), late).timeless is None
+    assert in_common(replace(whole, without_offset=whole), late).without_offset is None
 
 
 def test_a_prediction_is_not_better_than_the_fix_it_is_judged_by():
@@ -414,14 +414,14 @@ def test_a_prediction_is_not_better_than_the_fix_it_is_judged_by():
 def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do():
     # given errors that are larger by a seventh, which chance gives in two of five cases, in one of ten, in one of 50
     for p, harmed in ((0.4, False), (0.1, False), (0.02, True)):
-        assert harm([row(30.0, 34.0, p)]) and bool(harm([row(30.0, 34.0, p)], effects=True)) == harmed
+        assert larger_errors([row(30.0, 34.0, p)]) and bool(larger_errors([row(30.0, 34.0, p)], effects=True)) == harmed
         tails = row(30.0, 30.0, rms=(50.0, 60.0)) | {'rms_p': p}
-        assert harm([tails]) and bool(harm([tails], effects=True)) == harmed
+        assert larger_errors([tails]) and bool(larger_errors([tails], effects=True)) == harmed
     # where there are too few of them for a probability, their number tells
     few = row(30.0, 34.0, None, count=9)
-    assert not harm([few], effects=True) and harm([few | {'count': 90, 'apart': 90}], effects=True)
-    assert not harm([few | {'count': 90}], effects=True)  # most of the 90 overlap
-    assert harm([row(30.0, 42.0, None, count=9)], effects=True)
+    assert not larger_errors([few], effects=True) and larger_errors([few | {'count': 90, 'apart': 90}], effects=True)
+    assert not larger_errors([few | {'count': 90}], effects=True)  # most of the 90 overlap
+    assert larger_errors([row(30.0, 42.0, None, count=9)], effects=True)
     # and they have no say beside those that are enough
     assert proven([row(10.0, 9.0), row(30.0, 36.0, None, count=3)])
     assert not proven([row(30.0, 36.0, None, count=3)])
@@ -435,7 +435,7 @@ def test_outages_too_few_for_a_test_seldom_speak_against_what_changes_nothing(co
     for _ in range(2000):
         common, own = rng.standard_normal((2, count)), rng.standard_normal((2, 2, count))
         old, new = (10.0 * np.hypot(*(np.sqrt(0.6) * common + np.sqrt(0.4) * one)) for one in own)
-        objections += bool(harm([row(old.mean(), new.mean(), None, count=count)], effects=True))
+        objections += bool(larger_errors([row(old.mean(), new.mean(), None, count=count)], effects=True))
     # then little more often than the 5 % of a test; one standard deviation would be 20 %
     assert objections < 150
 
@@ -464,7 +464,7 @@ def test_fixes_that_are_off_alone_are_told_from_a_lasting_misfit():
 
 
 def measured_with(score):
-    """A `Measured` as the search of noise levels sees it: 40 outages whose predictions have this likelihood."""
+    """A `MeasuredErrors` as the search of noise levels sees it: 40 outages whose predictions have this likelihood."""
     stamp = np.arange(40)
     outages = SimpleNamespace(begin=stamp, apart=len(stamp))
     return SimpleNamespace(outages=[outages], scores=lambda: [(stamp, score(stamp))])
@@ -575,10 +575,10 @@ def test_what_corrected_yaml_holds(answers, gain, chosen):
     effects, noise = {**given, 'gnss.time_offset': 0.2}, {**given, 'gnss.sigma': 2.0}
     without, kept = outages_with(2.0) if gain else one, Correction(given, [given], {}, False)
     levels = Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,))
-    tried = [(Tried(Correction(effects, [effects], {}, True), one), Verdict(answers[0])),
-             (Tried(levels, one, (without,)), Verdict(answers[1])),
-             (Tried(kept, one), Verdict(answers[2]))]
-    correction, _, verdict, _, _ = _chosen(tried, one, {})
+    tried = [(MeasuredCorrection(Correction(effects, [effects], {}, True), one), Verdict(answers[0])),
+             (MeasuredCorrection(levels, one, (without,)), Verdict(answers[1])),
+             (MeasuredCorrection(kept, one), Verdict(answers[2]))]
+    correction, _, verdict, _, _ = taken(tried, one, {})
     assert correction is tried[chosen][0].correction
     assert verdict.answer == answers[0 if chosen == 2 else chosen]  # or that on the best of what was tried
 
@@ -594,14 +594,15 @@ def test_where_parameters_stay_what_is_named_makes_sense(first, second, named):
     def verdict(scale, answer='cannot_tell'):
         return Verdict(answer, (change_in_outages(30.0, np.ones(9), np.full(9, scale), 9),))
     # given that neither is proven
-    tried = [(Tried(Correction(setting, [setting], {}, False, beside=(kept,)), one, (one,)), verdict(first)),
-             (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,)), one, (one,)),
-              verdict(second)), (Tried(kept, one), Verdict('same'))]
-    correction, _, said, about, _ = _chosen(tried, one, {})
+    tried = [(MeasuredCorrection(Correction(setting, [setting], {}, False, beside=(kept,)), one, (one,)),
+              verdict(first)),
+             (MeasuredCorrection(Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,)), one, (one,)),
+              verdict(second)), (MeasuredCorrection(kept, one), Verdict('same'))]
+    correction, _, said, about, _ = taken(tried, one, {})
     assert correction is kept and about is tried[named][0] and said == tried[named][1]
     # and where errors are smaller with it for certain, but a part of it is not proven, it is not said to be better
     tried[named] = tried[named][0], verdict((first, second)[named], 'better')
-    assert _chosen(tried, one, {})[2] == Verdict('cannot_tell', tried[named][1].changes, why=(NOT_EACH,))
+    assert taken(tried, one, {})[2] == Verdict('cannot_tell', tried[named][1].changes, why=(NOT_EACH,))
 
 
 def test_smaller_errors_go_before_better_predictions():
@@ -610,14 +611,15 @@ def test_smaller_errors_go_before_better_predictions():
     setting, noise = {**given, 'imu.adapt_noise': False}, {**given, 'gnss.sigma': 2.0}
     unsure, honest, smaller = outages_with(1.0, 0.3), outages_with(1.0, 1.0), outages_with(0.5, 0.15)
     kept = Correction(given, [given], {}, False)
-    tried = [(Tried(Correction(setting, [setting], {}, False, beside=(kept,)), honest, (unsure,)),
+    tried = [(MeasuredCorrection(Correction(setting, [setting], {}, False, beside=(kept,)), honest, (unsure,)),
               Verdict('cannot_tell')),
-             (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,)), smaller, (unsure,)),
+             (MeasuredCorrection(Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(kept,)), smaller,
+                                 (unsure,)),
               Verdict('better')),
-             (Tried(kept, unsure), Verdict('same'))]
+             (MeasuredCorrection(kept, unsure), Verdict('same'))]
     # then these are in corrected.yaml, and the setting where there are no such levels
-    assert _chosen(tried, unsure, {})[0].values == noise
-    assert _chosen([tried[0], tried[2]], unsure, {})[0].values == setting
+    assert taken(tried, unsure, {})[0].values == noise
+    assert taken([tried[0], tried[2]], unsure, {})[0].values == setting
 
 
 @pytest.mark.parametrize('alone, both, chosen', [
@@ -632,9 +634,10 @@ def test_what_only_together_makes_errors_smaller_is_kept_together(alone, both, c
     effects = Correction(late, [late], {}, True)
     levelled = replace(effects, values={**late, 'gnss.sigma': 2.0}, factors={'gnss.sigma': 2.0}, beside=(effects,))
     options = {'both': levelled, 'alone': effects, 'given': Correction(given, [given], {}, False)}
-    tried = [(Tried(levelled, one, (one,)), Verdict(both)), (Tried(effects, one), Verdict(alone)),
-             (Tried(options['given'], one), Verdict('same'))]
-    assert _chosen(tried, one, {})[0] is options[chosen]
+    tried = [(MeasuredCorrection(levelled, one, (one,)), Verdict(both)),
+             (MeasuredCorrection(effects, one), Verdict(alone)),
+             (MeasuredCorrection(options['given'], one), Verdict('same'))]
+    assert taken(tried, one, {})[0] is options[chosen]
 
 
 @pytest.mark.parametrize('error, chosen', [(1.0, False), (1.5, True)])
@@ -642,35 +645,57 @@ def test_standstills_that_cannot_be_told_from_motion_need_a_proof_not_to_do_with
     # given errors that are the same without standstills, or larger
     used, off = table.check({}), table.check({'vehicle.zero_velocity': False})
     kept = Correction(used, [used], {}, False)
-    tried = [(Tried(kept.switched('vehicle.zero_velocity'), outages_with(error), (outages_with(1.0),)),
-              Verdict('cannot_tell')), (Tried(kept, outages_with(1.0)), Verdict('same'))]
+    tried = [(MeasuredCorrection(kept.switched('vehicle.zero_velocity'), outages_with(error), (outages_with(1.0),)),
+              Verdict('cannot_tell')), (MeasuredCorrection(kept, outages_with(1.0)), Verdict('same'))]
     assert tried[0][0].correction.values == off
     # then corrected.yaml does without them where it does no harm, if the recording asks for that
-    found = _chosen(tried, outages_with(1.0), {'vehicle.zero_velocity': False})[0].values
+    found = taken(tried, outages_with(1.0), {'vehicle.zero_velocity': False})[0].values
     assert found['vehicle.zero_velocity'] == chosen
     # and else only with a proof
-    assert _chosen(tried, outages_with(1.0), {})[0].values == used
+    assert taken(tried, outages_with(1.0), {})[0].values == used
     # the same beside an effect with which errors are a third, and which predicts best with them
     late = {**used, 'gnss.time_offset': 0.2}
     effect = Correction(late, [late], {}, True)
-    tried = [(Tried(effect, outages_with(1.0)), Verdict('better')),
-             (Tried(effect.switched('vehicle.zero_velocity'), outages_with(error), (outages_with(1.0),)),
-              Verdict('better')), (Tried(kept, outages_with(3.0)), Verdict('same'))]
-    found = _chosen(tried, outages_with(3.0), {'vehicle.zero_velocity': False})[0].values
+    tried = [(MeasuredCorrection(effect, outages_with(1.0)), Verdict('better')),
+             (MeasuredCorrection(effect.switched('vehicle.zero_velocity'), outages_with(error), (outages_with(1.0),)),
+              Verdict('better')), (MeasuredCorrection(kept, outages_with(3.0)), Verdict('same'))]
+    found = taken(tried, outages_with(3.0), {'vehicle.zero_velocity': False})[0].values
     assert found == {**late, 'vehicle.zero_velocity': chosen}
+
+
+@pytest.mark.parametrize('verdict', ['better', 'cannot_tell'])
+def test_corrected_yaml_has_no_values_with_which_errors_are_larger_than_with_those_of_the_parts(verdict):
+    # given an effect of which a recording tells a range: errors with the values of each part are the same or smaller,
+    # those with the values of all data twice as large
+    given, one = table.check({}), outages_with(1.0)
+    wander = {**given, 'gnss.coloured_noise.sigma': 2.5}
+    part = {**given, 'gnss.coloured_noise.sigma': 1.6}
+    tried = [(MeasuredCorrection(Correction(wander, [part, part], {}, True), outages_with(0.9)), Verdict(verdict)),
+             (MeasuredCorrection(Correction(given, [given], {}, False), one), Verdict('same'))]
+    # then it is told, with the reason, and not set
+    correction, *_, against = _chosen(tried, one, {}, lambda correction: outages_with(2.0))
+    assert correction.values == given and 'grows' in against
+    # and it is set where errors with the values of all data are as with those of the parts
+    assert taken(tried, one, {})[0].values == wander
 
 
 def test_effects_that_predict_worse_for_certain_are_told():
     # given effects with which errors are the same, and sigmas four times too large
     given, one = table.check({}), outages_with(1.0)
     late = {**given, 'gnss.time_offset': 0.2}
-    tried = [(Tried(Correction(late, [late], {}, True), outages_with(1.0, 4.0)), Verdict('cannot_tell')),
-             (Tried(Correction(given, [given], {}, False), one), Verdict('same'))]
+    tried = [(MeasuredCorrection(Correction(late, [late], {}, True), outages_with(1.0, 4.0)), Verdict('cannot_tell')),
+             (MeasuredCorrection(Correction(given, [given], {}, False), one), Verdict('same'))]
     # then what was given stays, and the reason is said
-    correction, *_, against = _chosen(tried, one, {})
+    correction, *_, against = taken(tried, one, {})
     assert correction.values == given and against == PREDICTS_WORSE
-    tried[0] = Tried(tried[0][0].correction, one), Verdict('cannot_tell')
-    assert _chosen(tried, one, {})[0].values == late
+    tried[0] = MeasuredCorrection(tried[0][0].correction, one), Verdict('cannot_tell')
+    assert taken(tried, one, {})[0].values == late
+
+
+def taken(tried, before, wanted):
+    """What is chosen for corrected.yaml where its values make the errors of the parts."""
+    return _chosen(tried, before, wanted, lambda correction: next(
+        one.errors for one, _ in tried if one.correction is correction))
 
 
 def outages_with(scale, sigma=1.0, count=36, largest=0.0, seed=1):
@@ -723,7 +748,8 @@ def test_what_is_predicted_better_is_the_mean_of_the_horizons():
     gain, none = 1.0 + rng.standard_normal((2, 30)), rng.standard_normal(30)
 
     def of(*scores):
-        return SimpleNamespace(timeless=None, outages=[SimpleNamespace(begin=begin, apart=30)] * 2, scores=lambda: [
+        return SimpleNamespace(without_offset=None, outages=[SimpleNamespace(begin=begin, apart=30)] * 2,
+                               scores=lambda: [
             (begin[:0], begin[:0]), *((begin, score) for score in scores)])
     # then each has one vote, and no more is certain than that both err together
     found = predicted(of(0 * none, none), of(gain[0], none))
@@ -740,7 +766,7 @@ def test_what_is_predicted_better_is_the_mean_of_the_horizons():
 def test_predictions_that_are_the_same_are_seldom_better_for_certain(alike):
     # given outages of three durations whose predictions differ by chance, more or less alike in all of them
     def of(scores):
-        return SimpleNamespace(timeless=None, outages=[SimpleNamespace(begin=s, apart=len(s)) for s in scores],
+        return SimpleNamespace(without_offset=None, outages=[SimpleNamespace(begin=s, apart=len(s)) for s in scores],
                                scores=lambda: [(np.zeros(0), np.zeros(0)), *((np.arange(len(s)), s) for s in scores)])
     proven = 0
     for seed in range(400):
@@ -762,13 +788,15 @@ def test_noise_levels_count_by_their_own_gain_whether_the_offset_is_given_or_fou
     both = Correction(noise, [noise], {'gnss.sigma': 2.0}, True, beside=(effects,))
     levels = Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(replace(effects, effects=False),))
     # when the offset is found, which both together prove, and when the params file has it already
-    tried = [Tried(both, levelled, (known,)), Tried(effects, known), Tried(Correction(given, [given], {}, False), late)]
-    found = _chosen([(t, judged(late, t.errors, t.correction.effects)) for t in tried], late, {})
-    tried = [Tried(levels, levelled, (known,)), Tried(replace(effects, effects=False), known)]
-    after = _chosen([(t, judged(known, t.errors)) for t in tried], known, {})
+    tried = [MeasuredCorrection(both, levelled, (known,)), MeasuredCorrection(effects, known),
+             MeasuredCorrection(Correction(given, [given], {}, False), late)]
+    found = taken([(t, verdict_on(late, t.errors, t.correction.effects)) for t in tried], late, {})
+    tried = [MeasuredCorrection(levels, levelled, (known,)), MeasuredCorrection(replace(effects, effects=False), known)]
+    after = taken([(t, verdict_on(known, t.errors)) for t in tried], known, {})
     # and when the offset alone is not proven
-    alone = _chosen([(Tried(both, levelled, (known,)), Verdict('better')), (Tried(effects, known), Verdict('worse')),
-                     (Tried(Correction(given, [given], {}, False), late), Verdict('same'))], late, {})
+    alone = taken([(MeasuredCorrection(both, levelled, (known,)), Verdict('better')),
+                   (MeasuredCorrection(effects, known), Verdict('worse')),
+                   (MeasuredCorrection(Correction(given, [given], {}, False), late), Verdict('same'))], late, {})
     # then it is kept with the noise levels with which it is: what was given is worse for certain
     assert (alone[0].values, alone[2].answer) == (noise, 'better')
     # and else both ways end with the same parameters: with the noise levels that have a gain of their own
@@ -864,7 +892,7 @@ def test_effects_that_act_alike_are_one_group_and_others_are_not():
 
 def test_the_parts_held_out_share_the_fixes_out_in_blocks():
     problem = problem_of_fixes()
-    masks = np.array(parts(problem))
+    masks = np.array(part_masks(problem))
     assert len(masks) == 4 and np.array_equal(masks.sum(axis=0), problem.mask)
     # 580 s in eight blocks, in turns
     whose = masks[:, problem.mask].argmax(axis=0)
@@ -914,7 +942,7 @@ def test_a_noise_level_that_rests_on_a_bound_of_the_fit_is_said(name, bounds, fa
     assert [text[:len(said or '')] for text in _noise_remarks(model, {})] == ([said] if said else [])
 
 
-@pytest.mark.parametrize('factor, said', [(0.1, 'or smaller still'), (0.316, None), (1.0, None), (10.0, 'no sensor')])
+@pytest.mark.parametrize('factor, said', [(0.1, 'or smaller, to'), (0.316, None), (1.0, None), (10.0, 'No sensor')])
 def test_of_a_level_that_was_chosen_the_bounds_are_those_of_the_choice(factor, said):
     # given a level at the lower bound of the fit, for which the user's filter asked for another factor
     level = Unknown('gyroscope.noise', None, 0.0, 0.05, 1.0, bounds=(np.log(1 / 3), np.log(10.0)),
@@ -974,13 +1002,14 @@ def test_of_a_parameter_that_fits_equally_well_at_several_values_there_is_a_rang
 
     def fitted(problem, unknowns, x, iterations=0):
         best = unknowns[-1].factor_on == 40.0
-        return Model(problem, unknowns, np.asarray(x, dtype=float), np.eye(len(x)),
-                     replace(unit, missing=gains) if best else unit, nothing)
+        return FittedModel(problem, unknowns, np.asarray(x, dtype=float), np.eye(len(x)),
+                           replace(unit, missing=gains) if best else unit, nothing)
 
-    monkeypatch.setattr(judging, 'fit', fitted)
+    monkeypatch.setattr(candidate_proof, 'fit', fitted)
     known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=problem)
     # when the correlation time is estimated, too
-    model, hidden = judging._refined(known, effect, Model(problem, alone, np.ones(1), np.eye(1), unit, None))
+    model, hidden = candidate_proof._refined(known, effect,
+                                             FittedModel(problem, alone, np.ones(1), np.eye(1), unit, None))
     # then the best one is taken, and the range of all is told unless it is better for certain
     assert model.unknowns[-1].factor_on == 40.0
     assert hidden == ({} if end - begin == count else {
@@ -1000,13 +1029,14 @@ def test_a_value_beyond_the_interval_of_one_that_fits_as_well_makes_it_a_range(m
 
     def fitted(problem, unknowns, x, iterations=0):
         start = unknowns[-1].factor_on
-        return Model(problem, unknowns, np.array([sizes[start]**2, np.log(40.0 / start)]),
-                     np.diag([(2.0 * sigma)**2, 0.01]), unit, nothing)  # of a square: 2 x times that of x
+        return FittedModel(problem, unknowns, np.array([sizes[start]**2, np.log(40.0 / start)]),
+                           np.diag([(2.0 * sigma)**2, 0.01]), unit, nothing)  # of a square: 2 x times that of x
 
-    monkeypatch.setattr(judging, 'fit', fitted)
+    monkeypatch.setattr(candidate_proof, 'fit', fitted)
     known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=problem)
     alone = effect_unknowns(effect, effect.tried[0])
     # when it is told how well they are determined
-    _, hidden = judging._refined(known, effect, Model(problem, alone, np.ones(1), np.eye(1), unit, nothing))
+    _, hidden = candidate_proof._refined(known, effect,
+                                         FittedModel(problem, alone, np.ones(1), np.eye(1), unit, nothing))
     # then the size is a range where the interval of the best one does not hold the others
     assert hidden == ({'gnss_coloured_noise.sigma': '0.9 to 1.1 m explain the recording equally well'} if said else {})

@@ -9,6 +9,7 @@ import pytest
 
 from mems_ins_fusion.configuration.offset import Offset, together
 from mems_ins_fusion.diagnosis import conclusion, search
+from mems_ins_fusion.diagnosis.candidate_proof import TestedCandidate, too_small_effect
 from mems_ins_fusion.diagnosis.conclusion import _final_findings
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
@@ -17,12 +18,11 @@ from mems_ins_fusion.diagnosis.exact import of_receiver, sigmas
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.fit import fit
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.judging import Judged, small
-from mems_ins_fusion.diagnosis.known import Known
+from mems_ins_fusion.diagnosis.known import SearchState
 from mems_ins_fusion.diagnosis.noise import calibrated, noise_unknowns
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.problem import Problem, Unknown
-from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, Shown, other_starts, shown_without_filter
+from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, DirectEvidence, other_starts, shown_without_filter
 from mems_ins_fusion.diagnosis.tracing import Candidate, effect_unknowns
 from mems_ins_fusion.diagnosis.trial_runs import TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
@@ -147,7 +147,7 @@ def test_what_a_receiver_that_smooths_leaves_open_decides_whether_an_offset_is_t
                    for undecided in (0.0, 0.3))
     # then its sigma has that, and with it the offset is not there for certain
     assert open_ == pytest.approx(np.hypot(sure, 0.3)) and sure[0] < 0.1
-    assert small(model, [0], sure) == '' and small(model, [0], open_)
+    assert too_small_effect(model, [0], sure) == '' and too_small_effect(model, [0], open_)
 
 
 @pytest.mark.parametrize(('sigma_of_time', 'there'), [(0.3, True), (0.9, True), (1.1, False)])
@@ -157,10 +157,10 @@ def test_a_noise_whose_correlation_time_is_no_better_known_than_itself_is_not_ad
     lasting = Unknown('gnss_coloured_noise.tau', None, 0.0, 0.1, 1.0, factor_on=20.0)
     model = SimpleNamespace(unknowns=[scatter, lasting], x=np.array([16.0, 0.0]))
     # then it counts only where the time is known as well: 20 +- 22 s is none that a filter could be told
-    against = small(model, [0, 1], np.array([4.0, sigma_of_time]))
+    against = too_small_effect(model, [0, 1], np.array([4.0, sigma_of_time]))
     assert (against == '') is there and (there or 'tau' in against)
     # and a scatter whose sigma is as large as itself is not told, either
-    assert 'sigma is not determined' in small(model, [0], np.array([33.0]))
+    assert 'sigma is not determined' in too_small_effect(model, [0], np.array([33.0]))
 
 
 def test_what_effects_added_later_leave_unsure_is_not_set(late, monkeypatch):
@@ -171,7 +171,7 @@ def test_what_effects_added_later_leave_unsure_is_not_set(late, monkeypatch):
                 [*calibrated(problem, noise), 0.0])
     added = Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(OFFSET, 0.02, 's')}, 20.0, 1e-6,
                     True, HeldOut(20.0, 1e-6, []))
-    known = Known(problem, model, None, (), findings=(added,))
+    known = SearchState(problem, model, None, (), findings=(added,))
     for further, certain, is_set in ((0.0, (), True), (0.3, (), False), (0.3, ('gnss_time_offset',), True)):
         track = Offset(OFFSET, 0.4, np.zeros(3), np.zeros(3), 0.0, 1.0, undecided=further)
         trials = SimpleNamespace(beside=SimpleNamespace(track=track), origin=problem, certain=certain, shown={},
@@ -198,7 +198,7 @@ def test_a_size_that_has_grown_beyond_all_vehicles_with_effects_added_later_is_n
     for certain in ((), ('gnss_time_offset',)):
         trials = SimpleNamespace(beside=SimpleNamespace(track=track), origin=problem, certain=certain, shown={},
                                  errors=lambda models: None)
-        left = search.without_undetermined(Known(problem, model, None, (), findings=(added,)), trials)
+        left = search.without_undetermined(SearchState(problem, model, None, (), findings=(added,)), trials)
         # then it is set only where all of its sigma is not beyond the largest one
         assert left.findings[0].added == is_set and len(left.model.unknowns) == len(noise) + is_set
         assert is_set or 'more than any vehicle has' in left.findings[0].reason
@@ -257,7 +257,7 @@ def test_a_scale_of_the_gyroscopes_that_the_course_contradicts_is_none(late):
     # given gyroscopes that turn as far as the course does, as a bench sees it
     problem = Problem(late, table.check({TIME_OFFSET: OFFSET}))
     track = Offset(OFFSET, 0.02, np.zeros(3), np.ones(3), 0.01, 0.05)
-    given = (10.0,), 30.0, lambda part, what: None, {}, Shown(track)
+    given = (10.0,), 30.0, lambda part, what: None, {}, DirectEvidence(track)
     shown = TrialRuns((late,), Drives([problem]), (), *given).shown
     turned = shown['gyroscope_scale.z']
     # an offset that is in the parameters is none that has to be tried first; one that is not, is
@@ -284,13 +284,13 @@ def test_nothing_stands_for_an_offset_that_the_track_shows_for_certain(late, mon
     candidates = [Candidate(EFFECTS[name], [], np.ones(1), np.ones(1), 20.0, 1e-6, None, [], {}) for name in names]
     problem = SimpleNamespace(mask=np.ones(1, dtype=bool), recording=late)
     residual = SimpleNamespace(log_likelihood=lambda: np.zeros(1))
-    known = Known(problem, None, None, tuple(c.effect for c in candidates))
+    known = SearchState(problem, None, None, tuple(c.effect for c in candidates))
     monkeypatch.setattr(search, 'with_candidate', lambda *given: SimpleNamespace(problem=problem, residual=residual))
-    monkeypatch.setattr(search, 'judge', lambda known, candidate, model, bench: Judged(
+    monkeypatch.setattr(search, 'tested_on_held_out', lambda known, candidate, model, bench: TestedCandidate(
         candidate, model, {'time_offset': Estimate(0.9, 0.05, 's')}, {}, HeldOut(1.0, 0.5, []), None,
         'the error grows'))
     monkeypatch.setattr(search, 'compared', lambda *measured: [])
-    monkeypatch.setattr(search, 'saved', lambda *measured: None)
+    monkeypatch.setattr(search, 'errors_near_30_s', lambda *measured: None)
     monkeypatch.setattr(search, 'group', lambda winner, others, mask: [winner.name])
     told = {}
     for certain in ((), ('gnss_time_offset',)):

@@ -12,7 +12,7 @@ from mems_ins_fusion.configuration.check import SMALL_OFFSET
 from mems_ins_fusion.configuration.mounting import Mounting
 from mems_ins_fusion.configuration.remaining import remaining_of
 from mems_ins_fusion.diagnosis import direct
-from mems_ins_fusion.diagnosis.direct import looked, shown_directly
+from mems_ins_fusion.diagnosis.direct import direct_findings, shown_directly
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.held_out import HeldOut
@@ -175,8 +175,8 @@ def test_of_several_looks_the_longest_that_agrees_counts(recording, monkeypatch)
 
 def test_what_is_as_given_is_told_with_what_may_be_left(recording):
     # given the right offset and no arm, after four minutes, and after twenty seconds that show nothing yet
-    seen = {one.name: one for one in looked(until(recording, 240), DEFAULTS)}
-    young = {one.name: one for one in looked(until(recording, 20), DEFAULTS)}
+    seen = {one.name: one for one in direct_findings(until(recording, 240), DEFAULTS)}
+    young = {one.name: one for one in direct_findings(until(recording, 20), DEFAULTS)}
     # then nothing is off, and the offset is so well known that what may be left of it does not matter
     assert seen.keys() == young.keys() == {'gnss_time_offset', 'gnss_lever_arm', 'mounting_rotation'}
     assert not any(one.added or one.changes for one in seen.values())
@@ -185,7 +185,7 @@ def test_what_is_as_given_is_told_with_what_may_be_left(recording):
         'time_offset'].sigma <= SMALL_OFFSET
     assert not young['gnss_time_offset'].settled and young['gnss_time_offset'].parameters == {}
     # and what has become wrong is not among it
-    later = {one.name: one.added for one in looked(until(recording, 360), DEFAULTS)}
+    later = {one.name: one.added for one in direct_findings(until(recording, 360), DEFAULTS)}
     assert later['gnss_time_offset'] and not later['gnss_lever_arm']
 
 

@@ -8,7 +8,7 @@ import pytest
 from filter_support import PAPER
 
 from mems_ins_fusion.evaluation import metrics
-from mems_ins_fusion.evaluation.comparison import ReplayError, add_noise, compare, cut, thin, truth_of
+from mems_ins_fusion.evaluation.comparison import ReplayError, add_noise, compare, fixes_apart, time_span, truth_of
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.reports.replay_answer import sentences
@@ -41,13 +41,13 @@ def test_thinning_keeps_fixes_an_interval_apart_whatever_their_jitter(recording,
     fixes = recording.gnss.select(np.zeros(n, dtype=int))
     jitter = rng.uniform(-0.4, 0.4, n) / rate
     fixes.stamp[:] = np.round((1e9 + np.arange(n) / rate + np.concatenate([[0.0], jitter[1:]])) * 1e9 / 1e9 * SECOND)
-    used = np.flatnonzero(thin(fixes, interval))
+    used = np.flatnonzero(fixes_apart(fixes, interval))
     assert used.tolist() == list(range(0, n, every))
 
 
 def test_thinning_begins_when_the_filter_has_started(recording):
     fixes = recording.gnss
-    used = np.flatnonzero(thin(fixes, 6.0, int(fixes.stamp[40]) + 3))
+    used = np.flatnonzero(fixes_apart(fixes, 6.0, int(fixes.stamp[40]) + 3))
     # all up to the start, then the first one of each six seconds since the first fix
     assert used.tolist() == [*range(41), *range(42, len(fixes), 6)]
 
@@ -56,9 +56,9 @@ def test_filters_that_start_at_different_times_are_given_the_same_fixes(recordin
     # given fixes four times a second, of which each second one is used, and starts a fix apart
     fixes = recording.gnss
     quarter = replace(fixes, stamp=fixes.stamp[0] + np.arange(len(fixes)) * 250_000_000)
-    first = thin(quarter, 1.0, int(quarter.stamp[40]))
+    first = fixes_apart(quarter, 1.0, int(quarter.stamp[40]))
     for later in range(41, 48):
-        other = thin(quarter, 1.0, int(quarter.stamp[later]))
+        other = fixes_apart(quarter, 1.0, int(quarter.stamp[later]))
         # then all up to the start are used, and after it the same ones
         assert other[:later + 1].all() and other[later + 1:].tolist() == first[later + 1:].tolist()
 
@@ -67,7 +67,7 @@ def test_thinning_leaves_out_fixes_that_are_none(recording):
     fixes = recording.gnss.select(slice(0, 20))
     fixes.status[3], fixes.latitude[5] = -1, np.nan
     fixes.latitude[7] = fixes.longitude[7] = 0.0  # what receivers send without a fix, whatever status they state
-    assert np.flatnonzero(~thin(fixes, 0.0)).tolist() == [3, 5, 7]
+    assert np.flatnonzero(~fixes_apart(fixes, 0.0)).tolist() == [3, 5, 7]
     truth = truth_of(Recording('', recording.imu, fixes), values())
     assert len(truth) == 17 and truth.reference.latitude.min() > 0.5
 
@@ -99,12 +99,12 @@ def test_noise_on_a_fix_of_unknown_covariance_is_all_that_is_known():
 
 
 def test_cut_keeps_what_lies_between_start_and_stop(recording):
-    part = cut(recording, 50.0, 120.0)
+    part = time_span(recording, 50.0, 120.0)
     for samples in (part.imu, part.gnss, part.reference):
         after = (samples.stamp - recording.imu.stamp[0]) / SECOND
         assert after.min() >= 50.0 and after.max() <= 120.0 and after.max() - after.min() > 68.0
     with pytest.raises(ReplayError, match='no IMU sample between start 300 s'):
-        cut(recording, 300.0, 0.0)
+        time_span(recording, 300.0, 0.0)
 
 
 def test_without_a_reference_only_withheld_fixes_are_the_truth():
@@ -153,7 +153,7 @@ def test_errors_are_those_of_a_run_with_all_its_samples(recording):
     result = compare(recording, given).runs[0]
     settings = FilterConfig.from_parameters({**given, 'sensor_error_model': 'random_walk'})
     start = run(settings, recording.imu, recording.gnss).stamp[0]
-    whole = run(settings, recording.imu, recording.gnss.select(thin(recording.gnss, 3.0, int(start))))
+    whole = run(settings, recording.imu, recording.gnss.select(fixes_apart(recording.gnss, 3.0, int(start))))
     truth = truth_of(recording, given)
     errors = metrics.position_errors(whole, truth, np.zeros(len(truth), dtype=bool))
     assert np.array_equal(errors.horizontal[errors.stamp >= result.errors.stamp[0]], result.errors.horizontal)

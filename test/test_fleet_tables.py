@@ -11,7 +11,7 @@ from browser_support import check_page
 
 from mems_ins_fusion.fleet import change_points, failures, population, tables
 from mems_ins_fusion.fleet.page import page
-from mems_ins_fusion.fleet.run import Asked, Fleet
+from mems_ins_fusion.fleet.run import Fleet, FleetTask
 from mems_ins_fusion.fleet.sources import Entry, SourceError, content_id, find_entries
 from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.recordings.errors import RecordingError
@@ -181,7 +181,7 @@ def test_the_queries_of_the_docs_say_what_they_promise(tmp_path, monkeypatch):
 
 def test_the_vehicle_is_the_unit():
     """One vehicle with a thousand recordings counts as one: its errors do not decide for all."""
-    where = population.Where(30.0, 1.0)
+    where = population.ComparedQuantity(30.0, 1.0)
     rng = np.random.default_rng(1)
     before = {(f'car_{v}', str(d)): 5.0 + v + 0.1 * rng.standard_normal() for v in range(5) for d in range(3)}
     before |= {('taxi', str(d)): 5.0 + 0.1 * rng.standard_normal() for d in range(1000)}
@@ -234,7 +234,7 @@ def test_params_files_compete_where_they_were_tried_on_the_same_recordings(own_f
 # the page
 
 def made_page(rows, changes=()):
-    asked = Asked('logs', 'replay', Path('out'))
+    asked = FleetTask('logs', 'replay', Path('out'))
     rows = {name: tables.complete(name, some) for name, some in rows.items()}
     return page(Fleet(asked, rows, list(changes)), [])
 
@@ -277,6 +277,6 @@ def test_the_page_bears_ten_thousand_recordings(browser, tmp_path):
 
 def test_the_page_fits_a_phone_and_a_sheet_of_paper(browser, tmp_path):
     arm = change_points.QUANTITIES['gnss_lever_arm', 'x']
-    change = change_points.Change('car 1/ä', arm, 'diagnose', 0, 10**15, (3, 2), 0.6, 0.05, 1e-5)
+    change = change_points.ChangePoint('car 1/ä', arm, 'diagnose', 0, 10**15, (3, 2), 0.6, 0.05, 1e-5)
     (tmp_path / 'fleet.html').write_text(made_page(fleet_rows(), [change]), encoding='utf-8')
     check_page(browser, tmp_path / 'fleet.html')

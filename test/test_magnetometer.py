@@ -20,7 +20,7 @@ from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.recordings.several import later
+from mems_ins_fusion.recordings.several import shifted_recording
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.samples import Aiding, MagneticFields
 from mems_ins_fusion.simulation.drive import simulate_drive
@@ -168,7 +168,7 @@ def test_iron_that_a_run_before_has_learned_tells_the_heading_at_rest(slow):
     rest = simulate_recording(simulate_drive(20.0, 8, 50.0, standstill=20.0, manoeuvres=SLOW), None,
                               GnssNoise(1.5, 1.0), seed=8,
                               aiding=SimulatedAiding(magnetometer_rate=20.0, **CLEAN)).recording
-    rest = later(rest, 600 * 10**9)
+    rest = shifted_recording(rest, 600 * 10**9)
     # then it starts with the heading of the field; without what it knows it waits for a turn
     for snapshot in (before.snapshot(), None):
         fusion = FusionFilter(config())

@@ -21,9 +21,9 @@ from test_applying import HERE, NAME, drive
 from test_fusion_node import flat
 from test_online import OFFSET, SECOND, blind, finding
 
-from mems_ins_fusion.diagnosis.applying import driven
-from mems_ins_fusion.diagnosis.quantity import Kept
-from mems_ins_fusion.diagnosis.watch import Watch
+from mems_ins_fusion.diagnosis.applying import live_output
+from mems_ins_fusion.diagnosis.quantity import EarlierFinding
+from mems_ins_fusion.diagnosis.watch import RecordingWatch
 from mems_ins_fusion.nodes.state_file import StateFile
 from mems_ins_fusion.parameters import table
 
@@ -44,7 +44,8 @@ def recording():
 
 @pytest.fixture
 def kept(recording):
-    return Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, int(recording.imu.stamp[0]) - SECOND)
+    return EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET},
+                          int(recording.imu.stamp[0]) - SECOND)
 
 
 def of_file(path):
@@ -214,7 +215,7 @@ def test_a_drive_in_which_a_finding_is_dropped_has_the_bits_of_its_replay(record
         same = replace(recording, reference=None, gnss=replace(recording.gnss, **{
             name: np.array(radians) for name, radians in degrees.items()}))
         values = table.check({'diagnosis.online': 'apply'})
-        run = driven(same, values, Watch(same, values, find=blind, look=blind, kept=[kept]))
+        run = live_output(same, values, RecordingWatch(same, values, find=blind, look=blind, kept=[kept]))
         dropped, = run.dropped
         assert 120.0 < (dropped.stamp - recording.imu.stamp[0]) / SECOND < 180.0
         # bit for bit as a replay does,

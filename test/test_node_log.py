@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from mems_ins_fusion.nodes.inputs import Queue, stamp_of
-from mems_ins_fusion.nodes.log import LONGEST_HOLD, StateLog, Throttle, Watch
+from mems_ins_fusion.nodes.log import LONGEST_HOLD, SilenceWatch, StateLog, Throttle
 from mems_ins_fusion.nodes.traffic import Traffic
 
 
@@ -44,7 +44,7 @@ def test_another_complaint_is_not_held_back(clock):
 
 
 def test_a_silent_topic_is_noticed_after_its_patience_then_periodically_then_its_return(clock):
-    watch = Watch(patience=3.0, period=30.0, clock=clock)
+    watch = SilenceWatch(patience=3.0, period=30.0, clock=clock)
     found = {}
     for second in range(1, 41):
         clock.now = 100.0 + second
@@ -61,7 +61,7 @@ def test_a_silent_topic_is_noticed_after_its_patience_then_periodically_then_its
 
 
 def test_a_topic_that_speaks_is_never_silent(clock):
-    watch = Watch(patience=3.0, clock=clock)
+    watch = SilenceWatch(patience=3.0, clock=clock)
     for second in range(1, 20):
         clock.now = 100.0 + second
         watch.count += second % 2
@@ -93,9 +93,9 @@ def test_a_state_that_lasts_is_said_again_but_for_the_good_one(clock):
         if line:
             said[second] = line
     assert lasted == 129.0
-    assert said == {0: 'state: waiting (waiting for a fix on /gps/fix)',
-                    30: 'state: still waiting, for 30 s (waiting for a fix on /gps/fix)',
-                    60: 'state: still waiting, for 60 s (waiting for a fix on /gps/fix)',
+    assert said == {0: 'state: waiting for a fix on /gps/fix',
+                    30: 'state: still waiting for a fix on /gps/fix, for 30 s',
+                    60: 'state: still waiting for a fix on /gps/fix, for 60 s',
                     70: 'state: fusing after waiting for 70 s (running)'}
 
 

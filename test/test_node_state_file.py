@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.diagnosis.estimate import Estimate
-from mems_ins_fusion.diagnosis.quantity import Kept
+from mems_ins_fusion.diagnosis.quantity import EarlierFinding
 from mems_ins_fusion.nodes.state_file import StateFile
 from mems_ins_fusion.parameters.parameter import ParameterError
 
@@ -100,7 +100,7 @@ def test_a_kill_while_it_is_written_leaves_the_old_one(path, at):
     # given what an earlier drive has found, and a node that is killed while it writes something else
     file, _ = opened(path)
     sets, topics = {'gnss.time_offset': 0.2}, {'imu_topic': '/imu'}
-    kept = Kept('gnss_time_offset', {'time_offset': Estimate(0.2, 0.01, 's')}, sets, 1)
+    kept = EarlierFinding('gnss_time_offset', {'time_offset': Estimate(0.2, 0.01, 's')}, sets, 1)
     assert file.write(HERE, [kept], topics) is None
     status = subprocess.run([sys.executable, '-c', KILLED, str(path), at]).returncode
     assert status == -signal.SIGKILL and len(list(path.parent.iterdir())) == 2

@@ -427,7 +427,7 @@ def test_no_chunk_waits_for_an_analysis(drive, monkeypatch):
     # answered
     monkeypatch.setattr(worker.os, 'nice', lambda by: None)
     monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
-    monkeypatch.setattr(online, 'looked', blind)
+    monkeypatch.setattr(online, 'direct_findings', blind)
     monkeypatch.setattr(online, 'FIRST', 2 * CHUNK)
     source, sink, behind = io.BytesIO(), io.BytesIO(), []
 
@@ -443,12 +443,12 @@ def test_no_chunk_waits_for_an_analysis(drive, monkeypatch):
             progress(0.5, 'searching')
         behind.append(len(answers()))
         return [finding()]
-    monkeypatch.setattr(online, 'found', found)
+    monkeypatch.setattr(online, 'findings_in_recording', found)
     for one in ((table.check({'diagnosis.share': 0.6}), []), *((chunk, []) for chunk in list(chunks(drive))[:5])):
         pickle.dump(one, source)
     source.seek(0)
     # when all chunks are there
-    worker.work(source, sink)
+    worker.process_chunks(source, sink)
     # then the next two have their answers before the analysis is done, and the fifth has the result of that
     assert behind == [4]
     assert [[q.name for q in quantities] for quantities, _, _ in answers()] == [[ALL]] * 4 + [['gnss_time_offset']]
@@ -458,7 +458,7 @@ def test_the_process_ends_with_its_input_in_an_analysis(drive, monkeypatch):
     # given the process of the diagnosis, whose input ends while it does an analysis that nothing else ends
     monkeypatch.setattr(worker.os, 'nice', lambda by: None)
     monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
-    monkeypatch.setattr(online, 'looked', blind)
+    monkeypatch.setattr(online, 'direct_findings', blind)
     monkeypatch.setattr(online, 'FIRST', CHUNK)
     over = threading.Event()
 
@@ -466,12 +466,12 @@ def test_the_process_ends_with_its_input_in_an_analysis(drive, monkeypatch):
         while not over.wait(0.01):
             progress(0.5, 'searching')
         return []
-    monkeypatch.setattr(online, 'found', found)
+    monkeypatch.setattr(online, 'findings_in_recording', found)
     source, sink = io.BytesIO(), io.BytesIO()
     for one in ((table.check({}), []), (next(chunks(drive)), [])):
         pickle.dump(one, source)
     source.seek(0)
-    work = threading.Thread(target=worker.work, args=(source, sink), daemon=True)
+    work = threading.Thread(target=worker.process_chunks, args=(source, sink), daemon=True)
     work.start()
     work.join(20.0)
     # then it ends, having answered
@@ -487,8 +487,8 @@ def test_no_answer_waits_for_the_advice(drive, monkeypatch):
     monkeypatch.setattr(worker.os, 'nice', lambda by: None)
     monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
     looks = iter([[], [finding()], [], []])
-    monkeypatch.setattr(online, 'looked', lambda recording, values: next(looks))
-    monkeypatch.setattr(online, 'found', lambda part, values, progress: [])
+    monkeypatch.setattr(online, 'direct_findings', lambda recording, values: next(looks))
+    monkeypatch.setattr(online, 'findings_in_recording', lambda part, values, progress: [])
     source, sink, there = io.BytesIO(), io.BytesIO(), []
 
     def answers():
@@ -505,7 +505,7 @@ def test_no_answer_waits_for_the_advice(drive, monkeypatch):
     for one in ((values, []), *((chunk, []) for chunk in few)):
         pickle.dump(one, source)
     source.seek(0)
-    worker.work(source, sink)
+    worker.process_chunks(source, sink)
     # then it is told that, and what would show more is found after that, once, and told a minute later
     assert there == [2]
     told = [[(q.name, q.advice != '') for q in quantities] for quantities in answers()]

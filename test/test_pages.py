@@ -32,7 +32,15 @@ from mems_ins_fusion.reports import html, replay_answer, replay_report
 from mems_ins_fusion.reports.answer import WIDTH, shorten, typed
 from mems_ins_fusion.reports.replay_report import _notices
 from mems_ins_fusion.reports.series import _heading
-from mems_ins_fusion.reports.side_by_side import CompareError, Result, Series, answer, judged, read_result, rows_of
+from mems_ins_fusion.reports.side_by_side import (
+    CompareError,
+    ErrorSeries,
+    Result,
+    answer,
+    comparison_verdict,
+    read_result,
+    rows_of,
+)
 from mems_ins_fusion.reports.track import Layer, script, track
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -107,7 +115,7 @@ def test_bad_input_gives_one_line_status_2_and_no_result(folder, tmp_path, capsy
 
 def result(name, error):
     stamp = np.arange(len(error)) * 10**9
-    return Result(name, ['drive'], ['random_walk'], {('drive', 'random_walk', 1.0): Series(stamp, error)}, {})
+    return Result(name, ['drive'], ['random_walk'], {('drive', 'random_walk', 1.0): ErrorSeries(stamp, error)}, {})
 
 
 def test_a_difference_is_certain_only_where_the_pairs_say_so():
@@ -127,8 +135,8 @@ def test_outages_that_begin_at_other_fixes_are_said_to_be_so():
     first, second = result('a', error), result('b', error)
     for one, begin in ((first, 0), (second, 2 * 10**9)):
         stamp = begin + 30 * 10**9 * np.arange(10)
-        one.outages['drive', 'random_walk', 10.0] = Series(stamp, error[:10], within=np.ones(10, bool),
-                                                           nees=np.ones(10))
+        one.outages['drive', 'random_walk', 10.0] = ErrorSeries(stamp, error[:10], within=np.ones(10, bool),
+                                                                nees=np.ones(10))
     # then that is what is wrong with the comparison, and not that there are too few epochs
     wrong = ' '.join(answer(first, second, rows_of(first, second)).wrong)
     assert 'the outages of the two begin at other fixes' in wrong and 'too few epochs' not in wrong
@@ -138,7 +146,7 @@ def test_replays_of_different_drives_are_sent_to_the_same_one():
     # given two replays without one epoch in common, as those of two drives whose folders have the same name
     error = np.abs(np.random.default_rng(1).standard_normal(50)) + 1.0
     first, second = result('a', error), result('b', error)
-    later = Series(1000 * 10**9 + np.arange(50) * 10**9, error)
+    later = ErrorSeries(1000 * 10**9 + np.arange(50) * 10**9, error)
     second.runs['drive', 'random_walk', 1.0] = later
     told = answer(first, second, rows_of(first, second))
     # then another, longer drive is not what is missing
@@ -363,8 +371,8 @@ def test_the_best_model_of_each_replay_speaks_for_it():
     stamp = np.arange(2000) * 10**9
 
     def replay(name, best, other, of_best, of_other):
-        return Result(name, ['drive'], [best, other], {('drive', best, 1.0): Series(stamp, of_best),
-                                                       ('drive', other, 1.0): Series(stamp, of_other)}, {})
+        return Result(name, ['drive'], [best, other], {('drive', best, 1.0): ErrorSeries(stamp, of_best),
+                                                       ('drive', other, 1.0): ErrorSeries(stamp, of_other)}, {})
     error = np.abs(rng.standard_normal(2000)) + 1.0
     first = replay('a', 'random_walk', 'gauss_markov', error, 3 * error)
     second = replay('b', 'gauss_markov', 'random_walk', error, 2 * error)
@@ -372,7 +380,7 @@ def test_the_best_model_of_each_replay_speaks_for_it():
     rows = rows_of(first, second)
     assert [row.models for row in rows] == [('random_walk', 'gauss_markov'), ('random_walk', 'random_walk'),
                                             ('gauss_markov', 'gauss_markov')]
-    verdict = judged(first, second, rows)
+    verdict = comparison_verdict(first, second, rows)
     assert [change.before for change in verdict.changes] == [rms(error)] and verdict.answer == SAME
 
 

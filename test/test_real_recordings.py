@@ -10,7 +10,7 @@ import pytest
 from conftest import shared_data
 from ros_support import PLAYABLE, NodeProcess, Peer
 
-from mems_ins_fusion.evaluation.comparison import cut
+from mems_ins_fusion.evaluation.comparison import time_span
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
@@ -26,7 +26,7 @@ CASES = {
 def test_the_node_gives_on_measured_messages_what_the_replay_gives(name):
     # given a measured recording, in the order in which it was recorded
     topic, mounting, duration = CASES[name]
-    recording = cut(read_recording(shared_data(name) / 'bag', '/imu/data', topic), 0.0, duration)
+    recording = time_span(read_recording(shared_data(name) / 'bag', '/imu/data', topic), 0.0, duration)
     gnss = recording.gnss.select(recording.gnss.received > recording.imu.received[0])
     gnss = replace(gnss, latitude=np.radians(np.degrees(gnss.latitude)),  # as a message in degrees carries it
                    longitude=np.radians(np.degrees(gnss.longitude)))

@@ -8,7 +8,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 from test_recordings import START, TYPE, drive, header, imu, quaternion, vector, write_bag
 
-from mems_ins_fusion.evaluation.comparison import cut
+from mems_ins_fusion.evaluation.comparison import time_span
 from mems_ins_fusion.filter.measurements.base import (
     IMU,
     ODOMETRY,
@@ -154,8 +154,8 @@ def test_rosbags_reads_what_is_written(tmp_path):
 def test_cutting_a_recording_cuts_all_its_streams():
     recording = made()
     fixes = recording.heading  # anything with stamps stands in for the fixes
-    shorter = cut(Recording('r', recording.imu, fixes, None, None, recording.speed, recording.velocity,
-                            recording.heading), 1.0, 2.0)
+    shorter = time_span(Recording('r', recording.imu, fixes, None, None, recording.speed, recording.velocity,
+                                  recording.heading), 1.0, 2.0)
     assert [len(getattr(shorter, part)) for part in ('imu', 'speed', 'velocity', 'heading')] == [11] * 4
 
 

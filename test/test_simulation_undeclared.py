@@ -8,7 +8,7 @@ from filter_support import configure
 from undeclared import with_undeclared
 
 from mems_ins_fusion.effects.registry import EFFECTS
-from mems_ins_fusion.evaluation.comparison import cut
+from mems_ins_fusion.evaluation.comparison import time_span
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
@@ -28,7 +28,7 @@ PUT = {'an offset': ({'time_offset': 0.4}, 'gnss_time_offset', {'time_offset': 0
 
 @pytest.fixture(scope='module')
 def measured():
-    return cut(read_recording(shared_data('longmont_rtk_drive') / 'bag', '/imu/data', '/gps/fix'), 0.0, 200.0)
+    return time_span(read_recording(shared_data('longmont_rtk_drive') / 'bag', '/imu/data', '/gps/fix'), 0.0, 200.0)
 
 
 @pytest.mark.parametrize('what', PUT)

@@ -13,7 +13,7 @@ from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX
-from mems_ins_fusion.recordings.transforms import places
+from mems_ins_fusion.recordings.transforms import sensor_poses
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
@@ -70,7 +70,7 @@ def links_of(arm, rpy=MOUNTING):
 
 def test_places_go_through_all_frames_between_a_sensor_and_the_vehicle(plain, tmp_path):
     with Bag(with_transforms(plain, tmp_path / 'bag', links_of(ARM))) as bag:
-        found = places(bag, {'/imu/data': IMU, '/gps/fix': NAV_SAT_FIX})
+        found = sensor_poses(bag, {'/imu/data': IMU, '/gps/fix': NAV_SAT_FIX})
     place, rotation = found['/imu/data']
     assert place == pytest.approx(IMU_AT) and found['/gps/fix'][0] == pytest.approx(IMU_AT + ARM)
     # sensor to vehicle, as imu.mounting_rpy
@@ -84,7 +84,7 @@ def test_what_does_not_lead_to_the_vehicle_is_no_place(plain, wrong, tmp_path):
              'no way': {'imu': ('elsewhere', same, here)},
              'NaN': {'imu': ('base_link', same, [np.nan, 0, 0])}, 'none': {}}[wrong]
     with Bag(with_transforms(plain, tmp_path / 'bag', links)) as bag:
-        assert not places(bag, {'/imu/data': IMU})
+        assert not sensor_poses(bag, {'/imu/data': IMU})
 
 
 def test_configure_takes_the_arm_of_transforms_that_the_drive_agrees_with(plain, tmp_path):

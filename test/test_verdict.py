@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.diagnosis.estimate import Estimate
-from mems_ins_fusion.evaluation.intervals import effective_number, interval_of_share, of_mean, p_of_so_few, paired
+from mems_ins_fusion.evaluation.intervals import (
+    effective_number,
+    interval_of_share,
+    mean_with_error,
+    p_of_so_few,
+    paired,
+)
 from mems_ins_fusion.evaluation.verdict import (
     BETTER,
     CANNOT_TELL,
@@ -20,7 +26,7 @@ from mems_ins_fusion.evaluation.verdict import (
     change_in_outages,
     change_with_fixes,
     decide,
-    trusted,
+    trust_in_sigmas,
 )
 from mems_ins_fusion.reports.diagnosis_answer import headline
 from mems_ins_fusion.reports.verdict import because, change_text, span_text, too_small_text, trust_text, verdict_json
@@ -50,7 +56,7 @@ def test_an_interval_holds_the_mean_of_a_few_outages_that_overlap(n, overlap):
     held = 0
     for _ in range(400):
         each = rng.standard_normal(n + overlap)
-        found = of_mean(np.array([each[i:i + overlap].mean() for i in range(n)]), n // overlap)
+        found = mean_with_error(np.array([each[i:i + overlap].mean() for i in range(n)]), n // overlap)
         held += found is None or found.low < 0 < found.high
     # then 95 % of the intervals hold it, by four binomial sigmas; a block bootstrap's held it in 78 to 88 %
     assert held / 400 > 0.95 - 4 * np.sqrt(0.95 * 0.05 / 400)
@@ -142,7 +148,7 @@ def consistent(rng, held, of, scale=1.0):
 def test_trust_is_not_given_or_taken_by_chance(held, of, answer):
     # given errors that are as large as the sigmas say, and counts of outages in the ellipse
     rng = np.random.default_rng(held)
-    assert trusted([consistent(rng, held, of), Consistency(None, rng.chisquare(2, 500))]).answer == answer
+    assert trust_in_sigmas([consistent(rng, held, of), Consistency(None, rng.chisquare(2, 500))]).answer == answer
 
 
 def test_sigmas_that_are_honest_are_called_too_small_in_one_of_twenty_drives_at_most():
@@ -150,30 +156,32 @@ def test_sigmas_that_are_honest_are_called_too_small_in_one_of_twenty_drives_at_
     answers = []
     for _ in range(300):
         ends = rng.chisquare(2, (3, 17))
-        answers.append(trusted([Consistency(duration, nees, nees < 5.99, apart) for duration, nees, apart in
-                                zip((10.0, 30.0, 60.0), ends, (17, 17, 9))]).answer)
+        answers.append(trust_in_sigmas([Consistency(duration, nees, nees < 5.99, apart) for duration, nees, apart in
+                                        zip((10.0, 30.0, 60.0), ends, (17, 17, 9))]).answer)
     assert answers.count(NO) <= 15 + 4 * np.sqrt(15)
 
 
 def test_sigmas_that_are_not_honest_are_told_by_their_size_over_time():
     rng = np.random.default_rng(6)
-    small = trusted([consistent(rng, 17, 17), Consistency(None, 4.0 * rng.chisquare(2, 500))])
+    small = trust_in_sigmas([consistent(rng, 17, 17), Consistency(None, 4.0 * rng.chisquare(2, 500))])
     assert small.answer == NO and 1.8 < small.scale.value < 2.2 and 'too small' in trust_text(small)
-    large = trusted([consistent(rng, 17, 17, 0.4), Consistency(None, 0.16 * rng.chisquare(2, 500))])
+    large = trust_in_sigmas([consistent(rng, 17, 17, 0.4), Consistency(None, 0.16 * rng.chisquare(2, 500))])
     assert large.answer == TOO_CAREFUL
     assert trust_text(large).startswith('its sigmas are too large: errors in 30 s without fixes are 0.')
     # and of two durations the one that speaks most against them is told
-    two = trusted([consistent(rng, 17, 17, 0.2), Consistency(10.0, 0.16 * rng.chisquare(2, 17), np.ones(17, bool), 17)])
+    two = trust_in_sigmas([consistent(rng, 17, 17, 0.2),
+                           Consistency(10.0, 0.16 * rng.chisquare(2, 17), np.ones(17, bool), 17)])
     assert two.answer == TOO_CAREFUL and two.scale.duration == 30.0
     # how wide they are without fixes is not hidden by the receiver's noise in the innovations
-    assert trusted([consistent(rng, 17, 17, 0.4), Consistency(None, rng.chisquare(2, 500))]).answer == TOO_CAREFUL
-    assert trusted([consistent(rng, 17, 17), Consistency(None, 0.16 * rng.chisquare(2, 500))]).answer == YES
+    assert trust_in_sigmas([consistent(rng, 17, 17, 0.4),
+                            Consistency(None, rng.chisquare(2, 500))]).answer == TOO_CAREFUL
+    assert trust_in_sigmas([consistent(rng, 17, 17), Consistency(None, 0.16 * rng.chisquare(2, 500))]).answer == YES
     # where the counts alone show that they are too small, errors over time are no evidence of it
-    counted = trusted([consistent(rng, 9, 17, 0.9), Consistency(None, 0.8 * rng.chisquare(2, 500))])
+    counted = trust_in_sigmas([consistent(rng, 9, 17, 0.9), Consistency(None, 0.8 * rng.chisquare(2, 500))])
     assert counted.answer == NO and counted.scale is None
     assert trust_text(counted) == f'no, its sigmas are too small: {too_small_text(counted)}.'
     assert too_small_text(counted).startswith('the 95 % ellipse held the truth in 9 of 17')
-    assert trusted([]).answer == CANNOT_TELL and 'too short' in trust_text(trusted([]))
+    assert trust_in_sigmas([]).answer == CANNOT_TELL and 'too short' in trust_text(trust_in_sigmas([]))
 
 
 def test_the_words_hold_the_interval_and_its_unit():
@@ -277,7 +285,7 @@ def test_a_diagnosis_that_proves_nothing_says_what_the_recording_contradicts():
     first, *_ = _steps(SimpleNamespace(**{**vars(kept), 'changed': True}), 'out', ['drive'], 'my.yaml', ['gnss.sigma'])
     assert first.command == step.command
     # a proof comes before it
-    better = SimpleNamespace(**{**vars(kept), 'better': True, 'changed': True, 'trust': trusted([])})
+    better = SimpleNamespace(**{**vars(kept), 'better': True, 'changed': True, 'trust': trust_in_sigmas([])})
     assert 'as configure' not in str(_steps(better, 'out', ['drive'], 'my.yaml', ['gnss.time_offset']))
 
 
@@ -287,9 +295,10 @@ def test_a_diagnosis_is_green_only_where_a_gain_is_proven_or_nothing_is_wrong():
     from mems_ins_fusion.reports.diagnosis_answer import _grade
 
     def grade(lacking=False, **of):
-        return _grade(SimpleNamespace(**{'trust': trusted([]), 'better': False, 'changed': False} | of), lacking)
+        return _grade(SimpleNamespace(**{'trust': trust_in_sigmas([]), 'better': False, 'changed': False} | of),
+                      lacking)
 
-    untrue = replace(trusted([]), answer='no')
+    untrue = replace(trust_in_sigmas([]), answer='no')
     assert grade(better=True, changed=True) == grade() == 'good'
     # a changed file without a proof, innovations that are not right, sigmas that are too small
     assert grade(changed=True) == grade(lacking=True) == grade(better=True, changed=True, trust=untrue) == 'warning'
@@ -333,7 +342,7 @@ def test_who_keeps_the_parameters_is_told_to_drive_on_with_them():
     # and where chance may have made the difference, unless a longer drive would tell what something is
     for answer in (SAME, WORSE, CANNOT_TELL):
         assert step(answer).command.endswith('fusion_node --ros-args --params-file my.yaml')
-    left_alone = SimpleNamespace(added=False, apart=False, changes={}, name='gnss_time_offset')
+    left_alone = SimpleNamespace(added=False, drives_contradict=False, changes={}, name='gnss_time_offset')
     for more in ({'unexplained': True}, {'findings': [left_alone]}):
         assert step(CANNOT_TELL, **more).what.startswith('Record a longer drive')
 
@@ -392,8 +401,8 @@ def test_each_parameter_that_is_changed_is_told_with_its_reason():
         remarks=['It is no noise: positions are predicted better with imu.adapt_noise: false.'])
     # then the effect is told as such, and of the others what is set and why
     level, switch = settings_texts(d)
-    assert level == ('corrected.yaml sets gyroscope.gauss_markov.sigma to [0.000316]: noise level with which this '
-                     'drive is predicted best: 0.316 times as configured, [0.001].')
+    assert level == ('corrected.yaml sets gyroscope.gauss_markov.sigma to [0.000316]: with this noise level the '
+                     'positions are predicted best; it is 0.316 times the configured one, [0.001].')
     assert switch.startswith('corrected.yaml sets imu.adapt_noise to false: It is no noise')
     assert switch.endswith('before: true.')
 
@@ -436,3 +445,47 @@ def test_what_a_direct_look_shows_stands_behind_what_it_is():
     # then the line begins with what it is, and has three digits
     assert text.startswith('imu_repeats: IMU samples come twice: 2 % of the samples repeat. Set the driver to its')
     assert 'to [0.0115, 0.0115, 0.0115] (it was [0.00262, 0.00262, 0.00262])' in text
+
+
+def test_the_error_that_the_headline_tells_is_not_repeated_on_the_page():
+    from mems_ins_fusion.reports.answer import GOOD, Answer
+
+    # given a headline with the error, and lines of all durations
+    cost = ['in 10 s 2 m; held in 14 of 14', 'in 30 s 5 m; held in 14 of 14', 'in 60 s 9 m; held in 13 of 14']
+    for said, repeated in (('Keep your parameters: in 30 s 5 m.', False), ('Keep your parameters.', True)):
+        page = Answer(GOOD, said, cost=cost).html()
+        # then the middle one is a line of its own only where the headline does not contain it
+        assert ('<b>error:</b>' in page) == repeated, page
+
+
+@pytest.mark.parametrize('fitted, after, changed, shown', [
+    (1.0, 1.0, False, ['before']), (2.0, 1.0, False, ['before', 'fitted']),
+    # noise levels that are all that was changed are no stage of their own
+    (2.0, 2.0, True, ['before', 'after']), (2.0, 3.0, True, ['before', 'fitted', 'after'])])
+def test_a_page_shows_each_filter_once(fitted, after, changed, shown):
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.diagnosis_figures import measured_stages
+
+    def measured(error):
+        return SimpleNamespace(continuous=SimpleNamespace(horizontal=np.full(3, error)))
+    # given errors of the filter as configured, with other noise levels, and with corrected.yaml
+    stages = measured_stages(SimpleNamespace(before=measured(1.0), fitted=measured(fitted), after=measured(after),
+                                             changed=changed))
+    # then those that are alike stand there once, in this order
+    assert list(stages) == shown
+
+
+@pytest.mark.parametrize('lag, value, said', [(-0.12, 0.0, 'fixes 0.120 +- 0.080 s early (not set)'),
+                                              (0.3, 0.3, 'fixes 0.300 +- 0.080 s late')])
+def test_a_time_offset_that_the_file_does_not_have_is_told_as_such(lag, value, said):
+    from types import SimpleNamespace
+
+    from mems_ins_fusion.reports.configuration import summary_line
+
+    # given what configure has found, and the value in its file
+    mounting = SimpleNamespace(rpy=np.zeros(3), sigma=np.full(3, 0.01), yaw_known=True, lag=lag, lag_sigma=0.08,
+                               offset=SimpleNamespace(shown=True))
+    line = summary_line(SimpleNamespace(mounting=mounting, values={
+        'imu.acceleration_unit': 'g', 'imu.rate_unit': 'rad/s', 'gnss.time_offset': value}))
+    assert line.endswith(said)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..sensor_errors.models import GaussMarkov, simulate
-from .fitting import Estimate
+from .fitting import IntervalEstimate
 from .likelihood import Averages
 
 _REPLICAS = 60  # number of simulated recordings from which the standard deviations of a fit are computed
@@ -23,8 +23,8 @@ class AutocorrelationFit:
     """sigma, tau: of the Gauss-Markov process. white_variance: of the white noise in one average, unit squared.
     lags: s. values: the autocorrelation, unit squared. fitted: the curve through lags 1 and above."""
 
-    sigma: Estimate
-    tau: Estimate
+    sigma: IntervalEstimate
+    tau: IntervalEstimate
     white_variance: float
     lags: np.ndarray
     values: np.ndarray
@@ -131,5 +131,5 @@ def _bootstrap(sigma, tau, white, interval, n, lags):
 
 def _log_normal(value, spread, unit):
     if value <= 0 or not math.isfinite(spread):
-        return Estimate(value, 0.0, math.inf, unit)
-    return Estimate(value, value * math.exp(-1.96 * spread), value * math.exp(1.96 * spread), unit)
+        return IntervalEstimate(value, 0.0, math.inf, unit)
+    return IntervalEstimate(value, value * math.exp(-1.96 * spread), value * math.exp(1.96 * spread), unit)

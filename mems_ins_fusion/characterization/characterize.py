@@ -19,10 +19,17 @@ from ..threads import threads
 from . import autoregressive as ar
 from .allan import AllanCurve, AllanParameters, allan_deviation, allan_parameters
 from .autocorrelation import AutocorrelationFit, fit_gauss_markov_autocorrelation
-from .fitting import Estimate, Fit, fit_autoregressive, fit_autoregressive_orders, fit_gauss_markov, fit_random_walk
+from .fitting import (
+    IntervalEstimate,
+    ModelFit,
+    fit_autoregressive,
+    fit_autoregressive_orders,
+    fit_gauss_markov,
+    fit_random_walk,
+)
 from .likelihood import Averages, average, estimate_levels, innovations, state_space
 from .selection import Prediction, Recommendation, overall, predict, recommend, smallest_unbeaten, split
-from .stationary import Grid, Rest, StationaryError, axis_name, find_rest
+from .stationary import Grid, RestPeriods, StationaryError, axis_name, find_rest
 
 SENSORS = {'accelerometer': 'm/s^2', 'gyroscope': 'rad/s'}
 #: s, averaging intervals at which the models may be fitted
@@ -66,7 +73,7 @@ class Axis:
 
     name: str
     unit: str
-    mean: Estimate
+    mean: IntervalEstimate
     allan: AllanCurve
     allan_parameters: AllanParameters
     autocorrelation: AutocorrelationFit
@@ -76,10 +83,10 @@ class Axis:
     estimators: tuple[ar.ArFit, ...]
     order_curve: ar.OrderCurve
     joint_orders: dict[int, Prediction]
-    fits: dict[str, Fit]
+    fits: dict[str, ModelFit]
     predictions: dict[str, Prediction]
     recommendation: Recommendation
-    temperature: Estimate | None
+    temperature: IntervalEstimate | None
 
     @property
     def significant(self) -> bool:
@@ -94,7 +101,7 @@ class Characterization:
 
     name: str
     grid: Grid
-    rest: Rest
+    rest: RestPeriods
     axes: tuple[Axis, ...]
     interval: dict[str, float]
     order: dict[str, int]
@@ -256,10 +263,10 @@ def _mean(averages, fit):
     space = state_space(fit.model, fit.noise_density, averages.interval)
     _, sigma = estimate_levels(averages, space)
     value, half = float(np.nanmean(averages.z)), 1.96 * float(np.nanmin(sigma))
-    return Estimate(value, value - half, value + half, '')
+    return IntervalEstimate(value, value - half, value + half, '')
 
 
-def _temperature_slope(averages, fit, temperature) -> Estimate | None:
+def _temperature_slope(averages, fit, temperature) -> IntervalEstimate | None:
     """Slope over temperature by generalized least squares, with the slow error as coloured noise; None if the
     temperature is constant."""
     if temperature is None or averages.part.max() > 0:
@@ -277,7 +284,8 @@ def _temperature_slope(averages, fit, temperature) -> Estimate | None:
     design = np.stack(columns[1:], axis=1)
     solution = np.linalg.lstsq(design, columns[0], rcond=None)[0]
     half = 1.96 * math.sqrt(np.linalg.inv(design.T @ design)[0, 0])
-    return Estimate(float(solution[0]), float(solution[0] - half), float(solution[0] + half), 'per degree Celsius')
+    return IntervalEstimate(float(solution[0]), float(solution[0] - half), float(solution[0] + half),
+                            'per degree Celsius')
 
 
 def read_npz(path) -> Grid:

@@ -24,7 +24,7 @@ SIGNIFICANCE = 0.001
 
 
 @dataclass(frozen=True)
-class Estimate:
+class IntervalEstimate:
     """A value and its 95 % interval, in `unit`."""
 
     value: float
@@ -39,7 +39,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Fit:
+class ModelFit:
     """White noise plus one model, fitted to averages.
 
     model: RandomWalk, GaussMarkov, Autoregressive, or None for white noise alone. noise_density: unit/sqrt(Hz).
@@ -50,7 +50,7 @@ class Fit:
     model: Model | None
     noise_density: float
     log_likelihood: float
-    estimates: dict[str, Estimate]
+    estimates: dict[str, IntervalEstimate]
     p_value: float
     interval: float
     n: int
@@ -69,16 +69,17 @@ class Fit:
         return -2 * self.log_likelihood + self.free_parameters * math.log(self.n)
 
 
-def fit_white(data: Averages) -> Fit:
+def fit_white(data: Averages) -> ModelFit:
     """White noise alone."""
     value, density = relative_likelihood(data, state_space(None, 1.0, data.interval))
     n = _present(data)
     half = 1.96 * density / math.sqrt(2 * n)
-    return Fit(None, density, value, {'noise_density': Estimate(density, density - half, density + half, '/sqrt(Hz)')},
-               1.0, data.interval, n)
+    return ModelFit(None, density, value,
+                    {'noise_density': IntervalEstimate(density, density - half, density + half, '/sqrt(Hz)')},
+                    1.0, data.interval, n)
 
 
-def fit_random_walk(data: Averages, intervals: bool = True) -> Fit:
+def fit_random_walk(data: Averages, intervals: bool = True) -> ModelFit:
     """White noise plus random walk: noise_density and q.
 
     intervals: whether to compute the 95 % intervals. Like the other fits, it raises InputError for fewer than 20
@@ -102,10 +103,11 @@ def fit_random_walk(data: Averages, intervals: bool = True) -> Fit:
     estimates = _profiles(cost, [log_density, math.log(q)],
                           [_noise_limits(density), (log_density + limits[0], log_density + limits[1])],
                           {'noise_density': '/sqrt(Hz)', 'q': '/sqrt(s)'}) if intervals else {}
-    return Fit(RandomWalk(q, 0.0), density, value, estimates, _p_value(data, value, 1), data.interval, _present(data))
+    return ModelFit(RandomWalk(q, 0.0), density, value, estimates, _p_value(data, value, 1), data.interval,
+                    _present(data))
 
 
-def fit_gauss_markov(data: Averages, intervals: bool = True) -> Fit:
+def fit_gauss_markov(data: Averages, intervals: bool = True) -> ModelFit:
     """White noise plus first-order Gauss-Markov: noise_density, sigma and tau; with them the driving noise
     sigma sqrt(2/tau), which a recording determines far better than either.
 
@@ -125,7 +127,7 @@ def fit_gauss_markov(data: Averages, intervals: bool = True) -> Fit:
     found = scaled(_from_driving(*t), density)
     p_value = _p_value(data, value, 2)
     estimates = _gauss_markov_intervals(data, density, found, limits) if intervals else {}
-    return Fit(found, density, value, estimates, p_value, data.interval, _present(data))
+    return ModelFit(found, density, value, estimates, p_value, data.interval, _present(data))
 
 
 def _from_driving(log_driving, log_tau):
@@ -151,7 +153,7 @@ def _gauss_markov_intervals(data, density, found, limits):
     return estimates
 
 
-def fit_autoregressive(data: Averages, order: int, intervals: bool = True) -> Fit:
+def fit_autoregressive(data: Averages, order: int, intervals: bool = True) -> ModelFit:
     """White noise plus AR(p) at the averaging interval of `data`: noise_density, a_1..a_p and b0.
 
     The reflection coefficients are fitted, so that the model is stable. The intervals come from the curvature of the
@@ -161,7 +163,7 @@ def fit_autoregressive(data: Averages, order: int, intervals: bool = True) -> Fi
     return fit_autoregressive_orders(data, [order], intervals)[0]
 
 
-def fit_autoregressive_orders(data: Averages, orders, intervals: bool = False) -> list[Fit]:
+def fit_autoregressive_orders(data: Averages, orders, intervals: bool = False) -> list[ModelFit]:
     """`fit_autoregressive` for several orders at little more than the cost of the highest."""
     _check(data)
     fits = []
@@ -173,7 +175,7 @@ def fit_autoregressive_orders(data: Averages, orders, intervals: bool = False) -
         found = Autoregressive(coefficients(np.tanh(t[:-1])), density * math.exp(t[-1]), data.interval)
         p_value = _p_value(data, value, order + 1)
         estimates = _ar_intervals(data, t, density) if intervals and p_value < SIGNIFICANCE else {}
-        fits.append(Fit(found, density, value, estimates, p_value, data.interval, _present(data)))
+        fits.append(ModelFit(found, density, value, estimates, p_value, data.interval, _present(data)))
     return fits
 
 
@@ -244,13 +246,13 @@ def _ar_intervals(data, t, density):
     jacobian = np.array([(np.array(coefficients(np.tanh(best[:-2] + h))) - value) / 1e-6
                          for h in 1e-6 * np.eye(order)]).T
     sigma = np.sqrt(np.maximum(np.diag(jacobian @ spread[:order, :order] @ jacobian.T), 0.0))
-    estimates = {f'a_{i + 1}': Estimate(float(a), float(a - 1.96 * s), float(a + 1.96 * s), '-')
+    estimates = {f'a_{i + 1}': IntervalEstimate(float(a), float(a - 1.96 * s), float(a + 1.96 * s), '-')
                  for i, (a, s) in enumerate(zip(value, sigma))}
     for name, index, unit in (('b0', -2, ''), ('noise_density', -1, '/sqrt(Hz)')):
         half = 1.96 * math.sqrt(max(spread[index, index], 0.0))
         centre = math.exp(best[index])
         upper = centre * math.exp(half) if half < 50 else math.inf
-        estimates[name] = Estimate(centre, centre * math.exp(-half), upper, unit)
+        estimates[name] = IntervalEstimate(centre, centre * math.exp(-half), upper, unit)
     return estimates
 
 
@@ -277,8 +279,8 @@ def _profiles(cost, best, limits, names, indices=None):
     found = {}
     for index, (name, unit) in zip(indices or range(len(best)), names.items()):
         low, high = (_profile_end(cost, best, index, limits, curvature, side) for side in (-1, 1))
-        found[name] = Estimate(math.exp(best[index]), 0.0 if low is None else math.exp(low),
-                               math.inf if high is None else math.exp(high), unit)
+        found[name] = IntervalEstimate(math.exp(best[index]), 0.0 if low is None else math.exp(low),
+                                       math.inf if high is None else math.exp(high), unit)
     return found
 
 

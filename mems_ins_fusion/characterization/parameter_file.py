@@ -9,7 +9,7 @@ from ..navigation.earth import STANDARD_GRAVITY
 from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
 from . import data_sheet
 from .characterize import SENSORS, Axis, Characterization
-from .fitting import Estimate
+from .fitting import IntervalEstimate
 
 #: significant digits of the values in the file
 _DIGITS = 4
@@ -135,7 +135,7 @@ def _coefficients(axis, order):
     return [axis.fits['autoregressive'].estimates.get(f'a_{i + 1}') for i in range(order)]
 
 
-def _ranges(estimates: list[Estimate | None]) -> str:
+def _ranges(estimates: list[IntervalEstimate | None]) -> str:
     return ', '.join('[not known]' if e is None else f'[{e.lower:.3g}, {e.upper:.3g}]' for e in estimates)
 
 

@@ -63,7 +63,7 @@ class Cut:
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestPeriods:
     """parts: (start, stop) indices into the grid at rest, in order. holes: (n,) bool, samples in them to leave out.
     cuts: what was cut out, for the report. shifts: (s, column, size) of large shifts of the level where the samples
     were kept: either the table tilted a little or the bias of the sensor jumped; the samples do not show which."""
@@ -122,7 +122,7 @@ def _steps(time, interval):
     return np.maximum(np.round(np.diff(ahead) / interval), 0).astype(np.int64)
 
 
-def find_rest(grid: Grid) -> Rest:
+def find_rest(grid: Grid) -> RestPeriods:
     """The parts at rest of at least SHORTEST s.
 
     The test is made in windows of a second or 50 samples, relative to the quiet windows of the same recording: by the
@@ -153,7 +153,7 @@ def find_rest(grid: Grid) -> Rest:
     holes = np.zeros(len(grid.values), bool)
     holes[:count * size] = np.repeat(bad & present, size)
     shifts = _shifts(np.where(bad[:, None], np.nan, mean), parts, size, seconds)
-    return Rest(tuple(parts), holes, tuple(sorted(cuts, key=lambda cut: cut.start)), shifts)
+    return RestPeriods(tuple(parts), holes, tuple(sorted(cuts, key=lambda cut: cut.start)), shifts)
 
 
 def _window_statistics(values, size, count):

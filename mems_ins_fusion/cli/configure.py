@@ -26,7 +26,13 @@ def configure(options: argparse.Namespace) -> str:
     from mems_ins_fusion.configuration.configure import configure as work
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings.errors import collected_warnings
-    from mems_ins_fusion.reports.configuration import answer, configuration_page, configuration_yaml, in_short, story
+    from mems_ins_fusion.reports.configuration import (
+        answer,
+        configuration_page,
+        configuration_yaml,
+        result_lines,
+        summary_line,
+    )
     from mems_ins_fusion.results import check_files_free, write_files
 
     output = Path(options.output)
@@ -40,8 +46,8 @@ def configure(options: argparse.Namespace) -> str:
     text = configuration_yaml(result)
     answered = answer(result, options.bag, options.output)
     write_files({output: text, page: configuration_page(result, text, answered)}, options.overwrite)
-    lines = [*answered.lines(), '', *story(result), *dict.fromkeys(said)] if options.verbose else \
-        [*answered.short(), in_short(result)]
+    lines = [*answered.lines(), '', *result_lines(result), *dict.fromkeys(said)] if options.verbose else \
+        [*answered.short(), summary_line(result)]
     return '\n'.join([*lines, f'report: {page}'])
 
 

@@ -30,7 +30,7 @@ def diagnose(options: argparse.Namespace) -> tuple[str, int]:
     bad options or input.
     """
     from mems_ins_fusion.reports.diagnosing import diagnose_drives, read_drive
-    from mems_ins_fusion.reports.diagnosis import story
+    from mems_ins_fusion.reports.diagnosis import diagnosis_lines
     from mems_ins_fusion.results import result_folder
 
     kept = params_file.load_files(options.params_file)
@@ -46,7 +46,8 @@ def diagnose(options: argparse.Namespace) -> tuple[str, int]:
         bar(1.0, 'done')
     said = done.answer.short()
     if options.verbose:
-        said = [*(done.answer.lines() if done.result is None else story(done.result, done.answer)), *done.said]
+        said = [*(done.answer.lines() if done.result is None else diagnosis_lines(done.result, done.answer)),
+                *done.said]
     return '\n'.join([*said, f'report: {options.output}/report.html']), BAD_INPUT if done.result is None else 0
 
 

@@ -44,7 +44,7 @@ def main(argv: list[str] | None = None) -> int:
 def fleet(options: argparse.Namespace, status: list[int]) -> str:
     """Process the recordings; returns lines for the user, and writes the exit status to `status`. Raises InputError for
     bad options or input."""
-    from mems_ins_fusion.fleet.run import Asked
+    from mems_ins_fusion.fleet.run import FleetTask
     from mems_ins_fusion.fleet.run import run as do
     from mems_ins_fusion.parameters import params_file, table
     from mems_ins_fusion.progress import Progress
@@ -56,9 +56,9 @@ def fleet(options: argparse.Namespace, status: list[int]) -> str:
         raise InputError(f'--memory must be from 0.5 to 1000000 GB, got {options.memory:g}')
     if options.workers is not None and not 1 <= options.workers <= 1000:
         raise InputError(f'--workers must be from 1 to 1000, got {options.workers}')
-    asked = Asked(options.source, options.task, Path(options.output), options.vehicle_from, options.params_file,
-                  options.scheduler, options.workers or cores(), options.memory, parse_shard(options.shard),
-                  not options.no_pages)
+    asked = FleetTask(options.source, options.task, Path(options.output), options.vehicle_from, options.params_file,
+                      options.scheduler, options.workers or cores(), options.memory, parse_shard(options.shard),
+                      not options.no_pages)
     with Progress('fleet') as tell:
         result = do(asked, tell)
     status.append(INTERRUPTED if result.interrupted else 0)
@@ -101,7 +101,7 @@ def compare(options: argparse.Namespace, status: list[int]) -> str:
 
     found = gate.compare(options.first, options.second)
     if options.output:
-        write_files({options.output: gate.text(found)}, options.overwrite)
+        write_files({options.output: gate.report_text(found)}, options.overwrite)
     status.append(WORSE if found.worse else 0)
     return '\n'.join(found.lines())
 

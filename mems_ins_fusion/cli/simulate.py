@@ -33,7 +33,7 @@ body. The odometry's origin is the first fix. The effect `temperature` adds /imu
 (of the rear axle), /gps/velocity and /gps/heading, or where the parameters say. Each input that has a topic in the
 params file is simulated, those with a name too, further receivers with the rate and the sigma of the first.
 
---drive realistic is a drive for judging filters, with everything that the options below offer: a car on its springs on
+--drive realistic is a drive to test filters with, with everything that the options below offer: a car on its springs on
 a road with grade and bank, an IMU that shakes and whose mounting is off by up to 5 deg (each seed another), turn-on
 biases, standstills with the engine on and off, long smooth cruises, reversing. Each option changes one thing in it, or
 adds it to the level drive that is the default.

@@ -62,7 +62,7 @@ def check_setup(recording: Recording, values: dict) -> list[Remark]:
     Where the recording shows too little of something, nothing is said of it.
     """
     imu, fixes = _usable(recording, values)
-    findings, found = judge_mounting(imu, fixes, values)
+    findings, found = compare_mounting(imu, fixes, values)
     if fixes is None or len(imu) < 2:
         return findings
     if found is None or not found.yaw_known:
@@ -100,8 +100,8 @@ def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | Non
     return imu, fixes if overlap else None
 
 
-def judge_mounting(imu: ImuSamples, fixes: Fixes | None, values: dict,
-                   lag: float | None = None) -> tuple[list[Remark], Mounting | None]:
+def compare_mounting(imu: ImuSamples, fixes: Fixes | None, values: dict,
+                     lag: float | None = None) -> tuple[list[Remark], Mounting | None]:
     """What speaks against the mounting of the checked parameters `values`, and the one that samples in sensor axes (SI
     units) and fixes, by arrival, show; None where not even the up axis shows. Of the last minutes of a live filter,
     too.

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.configuration.drive_settings import against_tf, settings_of
 from mems_ins_fusion.configuration.input_settings import inputs_against_tf, placed
-from mems_ins_fusion.configuration.inputs import InputShown, LeftOut, further_imus, shown_inputs
+from mems_ins_fusion.configuration.inputs import InputShown, UnusedTopic, further_imus, shown_inputs
 from mems_ins_fusion.configuration.mounting import SHOWN, Mounting, deviation, estimate_mounting
 from mems_ins_fusion.configuration.noise import Noise, find_noise
 from mems_ins_fusion.configuration.offset import together
@@ -37,7 +37,7 @@ from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 
 @dataclass(frozen=True)
-class Drive:
+class RecordingEvidence:
     """One recording and what it shows. imu: in SI units. still: (n,) its samples at rest. seconds: its length. inputs:
     what its other topics measure, and which are not used."""
 
@@ -52,7 +52,7 @@ class Drive:
     receiver: Receiver | None
     vehicle: Vehicle
     remarks: tuple[Remark, ...] = ()
-    inputs: tuple[InputShown | LeftOut, ...] = ()
+    inputs: tuple[InputShown | UnusedTopic, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Configuration:
 
     settings: tuple[Setting, ...]
     topics: Topics
-    drives: tuple[Drive, ...]
+    drives: tuple[RecordingEvidence, ...]
     mounting: Mounting | None
     missing: tuple[str, ...]
     wrong: tuple[str, ...] = ()
@@ -95,14 +95,14 @@ def configure(paths, progress=lambda part, what: None) -> Configuration:
         receivers.pop(topics.gnss[0].topic if topics.gnss else '', None)
         imus = {**found.imus, found.imu[0].topic: found.imu[0].samples}
         imus.pop(topics.imu[0].topic)
-        drives.append(look(path, imu.samples, fixes[-1], found.others, receivers, imus))
+        drives.append(evidence_of_recording(path, imu.samples, fixes[-1], found.others, receivers, imus))
         for other in drives[:-1]:
             refuse_twice(drives[-1], other)
     progress(1.0, 'done')
     return configured(topics, drives, fixes)
 
 
-def configured(topics: Topics, drives: Sequence[Drive], fixes: Sequence[Fixes | None]) -> Configuration:
+def configured(topics: Topics, drives: Sequence[RecordingEvidence], fixes: Sequence[Fixes | None]) -> Configuration:
     """The parameters of the vehicle that `drives` show together. fixes: of each, as recorded."""
     mounting = _together([drive.mounting for drive in drives if drive.mounting is not None])
     against = tuple(against_tf(topics, mounting))
@@ -143,9 +143,10 @@ def _same(candidates, topic, path) -> Candidate:
     return match[0]
 
 
-def look(path, imu: ImuSamples, fixes: Fixes | None, others: Mapping[str, Mapping[str, object]] = MappingProxyType({}),
-         receivers: Mapping[str, Fixes] = MappingProxyType({}),
-         imus: Mapping[str, ImuSamples] = MappingProxyType({})) -> Drive:
+def evidence_of_recording(path, imu: ImuSamples, fixes: Fixes | None,
+                          others: Mapping[str, Mapping[str, object]] = MappingProxyType({}),
+                          receivers: Mapping[str, Fixes] = MappingProxyType({}),
+                          imus: Mapping[str, ImuSamples] = MappingProxyType({})) -> RecordingEvidence:
     """All that one recording shows. others, receivers, imus: by topic, as recorded, see `shown_inputs` and
     `further_imus`."""
     name = str(path)
@@ -165,10 +166,10 @@ def look(path, imu: ImuSamples, fixes: Fixes | None, others: Mapping[str, Mappin
     receiver = assess_receiver(good, imu, still, found) if good is not None else None
     noise = receiver.realised if receiver is not None else None
     vehicle = assess_vehicle(imu, still, found, noise or 1.0, good)
-    return Drive(name, imu, good, still, seconds, units, found, find_noise(imu, still), receiver, vehicle,
-                 tuple(remark for remark in remarks if remark.severity != INFO),
-                 (*shown_inputs(others, receivers, imu, good, still, found),
-                  *further_imus(imus, imu, good, gravity)))
+    return RecordingEvidence(name, imu, good, still, seconds, units, found, find_noise(imu, still), receiver, vehicle,
+                             tuple(remark for remark in remarks if remark.severity != INFO),
+                             (*shown_inputs(others, receivers, imu, good, still, found),
+                              *further_imus(imus, imu, good, gravity)))
 
 
 def _together(found: list[Mounting]) -> Mounting | None:

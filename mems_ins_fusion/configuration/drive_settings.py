@@ -16,8 +16,8 @@ from mems_ins_fusion.configuration.setting import (
     TF_ARM,
     Setting,
     arm_apart,
-    at_zero,
     is_sure,
+    left_at_zero_text,
     rounded,
 )
 from mems_ins_fusion.configuration.topics import Topics
@@ -34,7 +34,8 @@ _LEAST_MOUNTING_SIGMA = 0.01  # rad, bending of body and bracket while driving
 
 
 def settings_of(topics: Topics, drives, mounting):
-    """Yield the parameters from `drives` (of `configure.Drive`) and their common mounting, in the order of the file."""
+    """Yield the parameters from `drives` (`configure.RecordingEvidence`) and their common mounting, in the order of the
+    file."""
     first = drives[0]
     rotation, arm = topics.mounting_of_tf, topics.arm_of_tf
     yield from _topic_settings(topics)
@@ -146,7 +147,7 @@ def _time_offset_settings(offset) -> list[Setting]:
     if offset.rivals:
         seen += f'; {" or ".join(f"{rival:g}" for rival in offset.rivals)} s would fit nearly as well'
     sure = is_sure(offset.lag, offset.lag_sigma)
-    return [Setting(name, round(offset.lag, 3) if sure else 0.0, (seen if sure else f'{seen}{at_zero()}',)),
+    return [Setting(name, round(offset.lag, 3) if sure else 0.0, (seen if sure else f'{seen}{left_at_zero_text()}',)),
             Setting(f'{name}_sigma', round(float(offset.lag_sigma), 3), ('the filter estimates what is left of it',))]
 
 
@@ -229,7 +230,7 @@ def _noise_settings(drives, mounting):
         sure = is_sure(float(np.linalg.norm(mounting.bias)), mounting.bias_sigma)
         yield Setting('accelerometer.bias', _significant(mounting.bias, 2) if sure else [0.0], (
             f'specific force less acceleration and gravity: {np.linalg.norm(mounting.bias):.2g} +- '
-            f'{mounting.bias_sigma:.2g} m/s^2{"" if sure else at_zero()}',))
+            f'{mounting.bias_sigma:.2g} m/s^2{"" if sure else left_at_zero_text()}',))
 
 
 def vehicle_settings(drives):

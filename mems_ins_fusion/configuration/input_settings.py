@@ -9,7 +9,7 @@ from itertools import chain, count
 
 import numpy as np
 
-from mems_ins_fusion.configuration.inputs import LEAST_APART, WHEELED, InputShown, LeftOut
+from mems_ins_fusion.configuration.inputs import LEAST_APART, WHEELED, InputShown, UnusedTopic
 from mems_ins_fusion.configuration.mounting import rpy
 from mems_ins_fusion.configuration.receiver import TOO_SURE
 from mems_ins_fusion.configuration.regression import weighted
@@ -20,8 +20,8 @@ from mems_ins_fusion.configuration.setting import (
     TF_ARM,
     Setting,
     arm_apart,
-    at_zero,
     is_sure,
+    left_at_zero_text,
     rounded,
 )
 from mems_ins_fusion.configuration.speed_offset import LowPass
@@ -35,10 +35,10 @@ from mems_ins_fusion.recordings.transforms import TOPIC as TF
 _LEAST_ARM_SIGMA = 0.01  # m: of the centre of phase of an antenna
 
 
-def inputs_against_tf(topics: Topics, drives: Sequence[Sequence[InputShown | LeftOut]]):
+def inputs_against_tf(topics: Topics, drives: Sequence[Sequence[InputShown | UnusedTopic]]):
     """Contradictions between the transforms and the place of an input by the drives, in words, by topic."""
     for one in drives[0]:
-        if isinstance(one, LeftOut) or (told := _told_place(topics, one)) is None:
+        if isinstance(one, UnusedTopic) or (told := _told_place(topics, one)) is None:
             continue
         arm, sigma = _seen_place(_seen(drives, one))
         for k in np.flatnonzero(arm_apart(arm, sigma, told))[:1]:
@@ -57,21 +57,21 @@ def _told_place(topics: Topics, one: InputShown) -> np.ndarray | None:
     return None if topics.arm_of_tf is None else arms[one.topic] - topics.arm_of_tf
 
 
-def placed(topics: Topics, one: InputShown | LeftOut) -> InputShown | LeftOut:
+def placed(topics: Topics, one: InputShown | UnusedTopic) -> InputShown | UnusedTopic:
     """The input, left out if neither the drive nor the transforms show its place, and the place matters."""
-    if isinstance(one, LeftOut) or not one.unplaced:
+    if isinstance(one, UnusedTopic) or not one.unplaced:
         return one
     told = _told_place(topics, one)
     if told is not None and np.hypot(*told[:2]) > LEAST_APART:  # at the same place it may be the same receiver twice
         return one
-    return LeftOut(one.topic, one.unplaced)
+    return UnusedTopic(one.topic, one.unplaced)
 
 
 def _whence(one: InputShown) -> str:
     return 'the antenna of gnss_topic' if one.measurement.name == 'fix' else 'the IMU'
 
 
-def input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanization: str, first: Mapping,
+def input_settings(drives: Sequence[Sequence[InputShown | UnusedTopic]], mechanization: str, first: Mapping,
                     topics: Topics):
     """Parameters for the topics of the first drive. first: parameters of the first IMU and receiver. The first topic of
     each kind has the parameters without a name; others, further receivers and IMUs, are named after their topics."""
@@ -82,7 +82,7 @@ def input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanizati
         if one.measurement in AIDING and not _is_aside(one, topics):
             plain.setdefault(one.measurement.name, one.topic)
     names = _names([one.topic for one in used if plain.get(one.measurement.name) != one.topic])
-    left_out = tuple(f'{one.topic} is not used: {one.why}' for one in drives[0] if isinstance(one, LeftOut))
+    left_out = tuple(f'{one.topic} is not used: {one.why}' for one in drives[0] if isinstance(one, UnusedTopic))
     if names or left_out:
         why = (*(f'{name}: {topic}' for topic, name in names.items()), *left_out)
         yield Setting('inputs', list(names.values()), why)
@@ -98,7 +98,7 @@ def input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanizati
         yield from _value_settings(name, seen, first)
 
 
-def _seen(drives: Sequence[Sequence[InputShown | LeftOut]], one: InputShown) -> list[InputShown]:
+def _seen(drives: Sequence[Sequence[InputShown | UnusedTopic]], one: InputShown) -> list[InputShown]:
     """Estimates of this input from each drive."""
     return [other for inputs in drives for other in inputs if isinstance(other, InputShown)
             and other.topic == one.topic and other.measurement is one.measurement]
@@ -177,13 +177,13 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
         yaw, sigma, sure = _together(axes)
         yield Setting(f'{name}.yaw', round(yaw, 4) if sure else 0.0, (
             f'straight on it moves sideways: its axes are turned to the left by {math.degrees(yaw):.1f} +- '
-            f'{math.degrees(sigma):.1f} deg{"" if sure else at_zero(OF_SEVERAL)}',))
+            f'{math.degrees(sigma):.1f} deg{"" if sure else left_at_zero_text(OF_SEVERAL)}',))
     flows = [(one.dynamic.share, one.dynamic.sigma) for one in seen if one.dynamic is not None]
     if flows:
         share, sigma, sure = _together(flows)
         yield Setting(f'{name}.dynamic', round(share, 2) if sure else 0.0, (
             f'its heights beside those of the fixes have {share:.2f} +- {sigma:.2f} of the dynamic pressure'
-            f'{"" if sure else at_zero(OF_SEVERAL)}',))
+            f'{"" if sure else left_at_zero_text(OF_SEVERAL)}',))
     noise = [one.sigma for one in seen if one.sigma is not None]
     if noise:
         yield Setting(f'{name}.sigma', float(f'{max(noise):.2g}'), (
@@ -196,7 +196,7 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
         begin = first.get('gnss.time_offset', 0.0) if of_receiver and name != 'velocity' else 0.0
         what = 'gnss_topic' if of_receiver else 'the IMU'
         yield Setting(f'{name}.time_offset', round(begin + (lag if sure else 0.0), 3) + 0.0, (
-            f'against {what} {lag:.3f} +- {sigma:.3f} s{"" if sure else at_zero(OF_SEVERAL)}',))
+            f'against {what} {lag:.3f} +- {sigma:.3f} s{"" if sure else left_at_zero_text(OF_SEVERAL)}',))
         yield from _low_pass_settings(name, seen)
     elif kind in WHEELED:
         yield Setting(f'{name}.time_offset', 0.0, ('not shown: too few changes of speed, or a road too rough',))

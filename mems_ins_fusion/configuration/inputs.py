@@ -34,7 +34,7 @@ from mems_ins_fusion.parameters.table import ALL
 from mems_ins_fusion.recordings.aiding import (
     check_heading,
     check_velocity,
-    forwards,
+    forward_speed,
     magnetic_factor,
     pressure_factor,
     shows_course,
@@ -101,7 +101,7 @@ class InputShown:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class UnusedTopic:
     """A topic that is not used. why: in words."""
 
     topic: str
@@ -109,7 +109,7 @@ class LeftOut:
 
 
 def shown_inputs(readings: Mapping[str, Mapping[str, object]], receivers: Mapping[str, Fixes], imu: ImuSamples,
-                 fixes: Fixes | None, still: np.ndarray, mounting: Mounting | None) -> list[InputShown | LeftOut]:
+                 fixes: Fixes | None, still: np.ndarray, mounting: Mounting | None) -> list[InputShown | UnusedTopic]:
     """What one recording shows of each topic, in their order.
 
     readings: by topic and by each kind of measurement that it may be, the samples read so. receivers: by topic, the
@@ -119,40 +119,40 @@ def shown_inputs(readings: Mapping[str, Mapping[str, object]], receivers: Mappin
     found = [_counted(_receiver(topic, others, imu, fixes, still), others) for topic, others in receivers.items()]
     for topic, read in readings.items():
         kind = _kind(topic, read, imu, fixes, mounting)
-        timed = kind if isinstance(kind, LeftOut) else _timed(kind, read, imu, fixes, mounting)
+        timed = kind if isinstance(kind, UnusedTopic) else _timed(kind, read, imu, fixes, mounting)
         found.append(_counted(timed, next(iter(read.values()))))
     return _without_repeats(found)
 
 
 def further_imus(imus: Mapping[str, ImuSamples], first: ImuSamples, fixes: Fixes | None, gravity: float
-                 ) -> list[InputShown | LeftOut]:
+                 ) -> list[InputShown | UnusedTopic]:
     """What one recording shows of each IMU besides the first. imus: by topic, as recorded. first: SI units. gravity:
     m/s^2, there."""
-    found: list[InputShown | LeftOut] = []
+    found: list[InputShown | UnusedTopic] = []
     for topic, samples in imus.items():
         units = find_units(usable_samples(samples), fixes, gravity)
         shown = compare_imus(first, in_si(samples, units.acceleration, units.rate))
-        found.append(LeftOut(topic, shown) if isinstance(shown, str) else _counted(InputShown(
+        found.append(UnusedTopic(topic, shown) if isinstance(shown, str) else _counted(InputShown(
             topic, INERTIAL, f'a further IMU: its turn rates and forces are those of the first, turned '
             f'(+- {math.degrees(shown.sigma):.1f} deg)', lag=(shown.lag, shown.lag_sigma),
             rotation=(shown.rotation, shown.sigma), units=(units.acceleration, units.rate)), samples))
     return found
 
 
-def _counted(shown: InputShown | LeftOut, samples) -> InputShown | LeftOut:
-    if isinstance(shown, LeftOut):
+def _counted(shown: InputShown | UnusedTopic, samples) -> InputShown | UnusedTopic:
+    if isinstance(shown, UnusedTopic):
         return shown
     interval = float(np.median(np.diff(samples.stamp))) * 1e-9
     return replace(shown, messages=f'{len(samples)} messages' + (f', {1.0 / interval:.3g} Hz' if interval > 0 else ''))
 
 
-def _kind(topic, read, imu, fixes, mounting) -> InputShown | LeftOut:
+def _kind(topic, read, imu, fixes, mounting) -> InputShown | UnusedTopic:
     """The kind of measurement of a topic, or why it is not used."""
     if RESULT.search(topic):
-        return LeftOut(topic, 'a result or a reference by its name')
+        return UnusedTopic(topic, 'a result or a reference by its name')
     if 'pressure' in read:
         factor = pressure_factor(read['pressure'])
-        return LeftOut(topic, 'no pressure of the air in any unit') if factor is None else InputShown(
+        return UnusedTopic(topic, 'no pressure of the air in any unit') if factor is None else InputShown(
             topic, TYPES['pressure'], 'of the air by its size', factor,
             dynamic=dynamic_of(read['pressure'], factor, fixes))
     if 'magnetometer' in read:
@@ -162,14 +162,15 @@ def _kind(topic, read, imu, fixes, mounting) -> InputShown | LeftOut:
     if 'heading' in read:
         return _heading(topic, read['heading'], fixes)
     if 'speed' not in read:
-        return LeftOut(topic, 'poses that are not of a lidar or a camera by its name: they may have seen the fixes')
+        return UnusedTopic(topic, 'poses that are not of a lidar or a camera by its name: they may have seen the fixes')
     factor = speed_factor(read['speed'], fixes)
     goes_forwards = factor is not None and math.isfinite(factor)
     if 'velocity' in read and _points_along(read['velocity'], fixes) and (not goes_forwards or _RECEIVER.search(topic)):
         return InputShown(topic, TYPES['velocity'], 'it points along the track of the fixes')
     if not goes_forwards and not (factor is not None and WHEELS.search(topic)):
-        return LeftOut(topic, 'it goes neither with the speed of the fixes nor with their velocity' if factor is None
-                       else 'neither its name tells what it is nor fixes, of which too few move fast enough')
+        return UnusedTopic(topic, 'it goes neither with the speed of the fixes nor with their velocity'
+                           if factor is None else
+                           'neither its name shows what it is, nor do the fixes: too few of them move fast enough')
     why = 'it goes with the speed of the fixes' if goes_forwards else (
         'by its name: too few fixes move fast enough to compare it with, its unit is taken to be m/s')
     if 'twist' in read and _turns_as(imu, read['twist'], mounting):
@@ -182,11 +183,11 @@ def _kind(topic, read, imu, fixes, mounting) -> InputShown | LeftOut:
 def _pose(topic, displacements, imu, fixes, mounting):
     """A topic with poses. Only the displacements between them are used, if these agree with fixes and gyroscopes: the
     axes of the poses are unknown."""
-    factor = speed_factor(forwards(displacements), fixes)
+    factor = speed_factor(forward_speed(displacements), fixes)
     if factor is None or not math.isfinite(factor):
-        return LeftOut(topic, 'the way between its poses does not go with the speed of the fixes')
+        return UnusedTopic(topic, 'the way between its poses does not go with the speed of the fixes')
     if not _turns_as(imu, displacements, mounting):
-        return LeftOut(topic, 'the turns between its poses are not shown to be those of the gyroscopes')
+        return UnusedTopic(topic, 'the turns between its poses are not shown to be those of the gyroscopes')
     return InputShown(topic, TYPES['pose'], 'it has no twist; the way between its poses goes with the speed of the '
                       'fixes, their turns with the gyroscopes', factor)
 
@@ -196,20 +197,20 @@ def _magnetometer(topic, fields, fixes):
     heading."""
     factor = magnetic_factor(fields)
     if factor is None:
-        return LeftOut(topic, 'no magnetic field of the earth in any unit')
+        return UnusedTopic(topic, 'no magnetic field of the earth in any unit')
     if shows_course(fixes):
-        return LeftOut(topic, 'the course of the fixes tells the heading better than a magnetic field')
+        return UnusedTopic(topic, 'the course of the fixes tells the heading better than a magnetic field')
     return InputShown(topic, TYPES['magnetometer'], 'the vehicle is too slow for its course to tell the heading',
                       factor)
 
 
 def _heading(topic, headings, fixes):
     if not _HEADING.search(topic):
-        return LeftOut(topic, 'no heading of antennas or a compass by its name')
+        return UnusedTopic(topic, 'no heading of antennas or a compass by its name')
     findings = list(check_heading(headings, fixes)) if fixes is not None else []
     turned = next((finding.values for finding in findings if 'offset_rad' in finding.values), None)
     if turned is None:
-        return LeftOut(topic, next((finding.message for finding in findings), 'no fixes to compare it with'))
+        return UnusedTopic(topic, next((finding.message for finding in findings), 'no fixes to compare it with'))
     sure = abs(turned['offset_rad']) > SURE * turned['sigma_rad']
     return InputShown(topic, TYPES['heading'], 'it follows the course of the fixes',
                       turned=turned['offset_rad'] if sure else 0.0)
@@ -257,7 +258,7 @@ def dynamic_of(pressures: Pressures, factor: float, fixes: Fixes | None) -> Dyna
     return shown if shown is not None and shown.sigma < SHARE_KNOWN else None
 
 
-class Clock(NamedTuple):
+class InputClock(NamedTuple):
     """lag: time offset of an input, s, with its sigma, None if unknown: of a GNSS velocity and of a further receiver
     against the fixes, of others against the IMU. left: of wheels, their distance to the left of the IMU, m, with its
     sigma, None if unknown. low_pass: the part of the offset that a low pass makes, None if unknown."""
@@ -267,7 +268,7 @@ class Clock(NamedTuple):
     low_pass: LowPass | None = None
 
 
-def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, mounting: Mounting | None) -> Clock:
+def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, mounting: Mounting | None) -> InputClock:
     """What is shown of the time of an input.
 
     kind: name of its measurement. samples: m/s, positive forwards. imu: SI units. fixes: usable ones of the first
@@ -281,11 +282,11 @@ def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, mounting:
         shown = [_turning(imu, turning_of(samples), mounting, _HEADING_TURNS)]
     elif kind == 'fix' and fixes is not None:
         baseline = estimate_baseline(fixes, usable_fixes(samples))
-        return Clock(None if baseline is None else (baseline.late, math.hypot(baseline.late_sigma, FLOOR)))
+        return InputClock(None if baseline is None else (baseline.late, math.hypot(baseline.late_sigma, FLOOR)))
     elif kind in WHEELED:
         offset = None
         if mounting is not None and mounting.yaw_known:
-            offset = estimate_speed_offset(imu, forwards(samples), mounting.rotation)
+            offset = estimate_speed_offset(imu, forward_speed(samples), mounting.rotation)
         left = None if offset is None else offset.left
         # for an odometry also from its turn rate, in which springs do not look like a low pass
         shown = [offset, _turning(imu, samples, mounting) if kind != 'speed' else None]
@@ -293,8 +294,8 @@ def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, mounting:
     lags = [(one.lag, one.lag_sigma) for one in shown if one.lag_sigma < SHOWN]
     low_passes = [one.low_pass for one in shown if getattr(one, 'low_pass', None) is not None]
     # of several estimates the one with the smallest sigma
-    return Clock(min(lags, key=lambda lag: lag[1], default=None), left,
-                 min(low_passes, key=lambda one: one.sigma, default=None))
+    return InputClock(min(lags, key=lambda lag: lag[1], default=None), left,
+                      min(low_passes, key=lambda one: one.sigma, default=None))
 
 
 def _turns_as(imu, twists, mounting) -> bool:
@@ -311,12 +312,12 @@ def _turning(imu, twists, mounting, least=_TURNING, enough=1.0) -> TurnOffset | 
     return turn if turn is not None and abs(turn.correlation) > least else None
 
 
-def _receiver(topic, others: Fixes, imu, fixes, still) -> InputShown | LeftOut:
+def _receiver(topic, others: Fixes, imu, fixes, still) -> InputShown | UnusedTopic:
     """A further receiver, if its antenna is at another place or its errors are independent of those of the first one.
     """
     others = usable_fixes(others)
     if fixes is None or len(others) < 2:
-        return LeftOut(topic, 'too few fixes')
+        return UnusedTopic(topic, 'too few fixes')
     baseline = estimate_baseline(fixes, others)
     if baseline is None:
         return InputShown(topic, TYPES['fix'], 'a receiver', unplaced='too little motion, or too noisy, to see where '
@@ -326,8 +327,8 @@ def _receiver(topic, others: Fixes, imu, fixes, still) -> InputShown | LeftOut:
     apart = bool((np.abs(baseline.arm[:2]) > np.maximum(LEAST_APART, SURE * baseline.arm_sigma[:2])).any())
     own = None not in (first, second, between) and between > _IN_COMMON * math.hypot(first, second)
     if not apart and not own:
-        return LeftOut(topic, 'neither another place nor errors of its own are shown: it may be the same receiver '
-                       'twice')
+        return UnusedTopic(topic, 'neither another place nor errors of its own are shown: it may be the same receiver '
+                           'twice')
     stated = float(np.nanmedian(sigmas(others))) if np.isfinite(sigmas(others)).any() else 0.0
     needed = max(_ARM_KNOWN, stated, second or 0.0)
     unplaced = baseline.arm_sigma[:2].max() > needed
@@ -350,17 +351,17 @@ def _less(first: Fixes, second: Fixes, late: float) -> Fixes:
                              for name, values in (('latitude', second.latitude), ('longitude', longitude))})
 
 
-def _without_repeats(found: list[InputShown | LeftOut]) -> list[InputShown | LeftOut]:
+def _without_repeats(found: list[InputShown | UnusedTopic]) -> list[InputShown | UnusedTopic]:
     """`found` without topics that may repeat another one: the same wheels, receiver or air. Of a speed and an odometry
     of the same wheels the odometry stays, because it also has the turn rate."""
-    kept: dict[int, InputShown | LeftOut] = {}
+    kept: dict[int, InputShown | UnusedTopic] = {}
     odometry = [isinstance(one, InputShown) and one.measurement.name == 'twist' for one in found]
     for k in np.argsort(np.logical_not(odometry), kind='stable').tolist():
         one = found[k]
         same = next((other for other in kept.values() if isinstance(other, InputShown) and isinstance(one, InputShown)
                      and _same_source(other, one)), None)
-        kept[k] = one if same is None else LeftOut(one.topic, f'it is not shown to measure anything but what '
-                                                   f'{same.topic} does')
+        kept[k] = one if same is None else UnusedTopic(one.topic, f'it is not shown to measure anything but what '
+                                                       f'{same.topic} does')
     return [kept[k] for k in range(len(found))]
 
 

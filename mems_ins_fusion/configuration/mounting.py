@@ -24,7 +24,7 @@ from mems_ins_fusion.configuration.kinematics import (
     spans,
 )
 from mems_ins_fusion.configuration.offset import LARGEST, Offset, estimate_offset
-from mems_ins_fusion.configuration.regression import Fit, blocks, fit, jackknife, weighted
+from mems_ins_fusion.configuration.regression import RegressionFit, blocks, fit, jackknife, weighted
 from mems_ins_fusion.filter.prediction import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import TIGHTEST_COURSE, find_standstill, robust_sigma
@@ -213,7 +213,7 @@ class _Motion:
     slowest: float
     moving: np.ndarray
     block: np.ndarray
-    fit: Fit
+    fit: RegressionFit
 
     @property
     def gain(self) -> float:

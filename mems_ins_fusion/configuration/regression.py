@@ -32,7 +32,7 @@ _LEAST_FREEDOM = 0.3
 
 
 @dataclass(frozen=True)
-class Fit:
+class RegressionFit:
     """values = design @ solution. design: (n, k). values, residual: (n, c). weight: (n,). prior, block: as given.
     solution: (k, c). covariance: (c, c) of the residual, without outliers."""
 
@@ -68,7 +68,7 @@ def blocks(time: np.ndarray) -> np.ndarray:
     return np.minimum((time - time[0]) / length, BLOCKS - 1).astype(int)
 
 
-def fit(design: np.ndarray, values: np.ndarray, prior: np.ndarray, block: np.ndarray) -> Fit:
+def fit(design: np.ndarray, values: np.ndarray, prior: np.ndarray, block: np.ndarray) -> RegressionFit:
     """Robust least squares of (n, c) `values` on (n, k) `design`.
 
     prior: (k,) standard deviations of the solution about zero, in units of a row's noise. block: (n,) number of the
@@ -82,7 +82,7 @@ def fit(design: np.ndarray, values: np.ndarray, prior: np.ndarray, block: np.nda
         size = np.sqrt(np.einsum('ni,ij,nj->n', residual, np.linalg.inv(covariance), residual))
         size *= typical / max(np.median(size), 1e-9)
         weight = np.minimum(1.0, HUBER * typical / np.maximum(size, 1e-9)) ** 2
-    return Fit(design, values, weight, prior, block, solution, residual, covariance)
+    return RegressionFit(design, values, weight, prior, block, solution, residual, covariance)
 
 
 def _normal(weighted, design, values, prior):

@@ -39,7 +39,7 @@ LARGEST_SIGMA = math.radians(3.0)
 
 
 @dataclass(frozen=True)
-class Against:
+class ImuComparison:
     """A further IMU compared with the first. rotation: (3, 3) from its axes to those of the first, with a sigma, rad.
     lag: s, by which its stamps are late, with a sigma."""
 
@@ -49,7 +49,7 @@ class Against:
     lag_sigma: float
 
 
-def compare_imus(first: ImuSamples, other: ImuSamples) -> Against | str:
+def compare_imus(first: ImuSamples, other: ImuSamples) -> ImuComparison | str:
     """`other` compared with `first`, both in SI units; or in words why they cannot be compared."""
     first, other = usable_samples(first), usable_samples(other)
     if min(len(first), len(other)) < 2:
@@ -78,7 +78,7 @@ def compare_imus(first: ImuSamples, other: ImuSamples) -> Against | str:
         return f'its rotation against the first IMU is not shown: {math.degrees(sigma):.1f} deg'
     if _noise_in_common(first, other, rotation, lag):
         return 'its noise is that of the first IMU: the same sensor twice'
-    return Against(rotation, sigma, lag, sharp)
+    return ImuComparison(rotation, sigma, lag, sharp)
 
 
 def _copied(first: ImuSamples, other: ImuSamples) -> bool:

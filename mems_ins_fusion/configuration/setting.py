@@ -34,7 +34,7 @@ def is_sure(value: float, sigma: float, sigmas: float = SET_SIGMAS) -> bool:
     return bool(abs(value) > sigmas * sigma)
 
 
-def at_zero(sigmas: float = SET_SIGMAS) -> str:
+def left_at_zero_text(sigmas: float = SET_SIGMAS) -> str:
     """Last line of the evidence for a value that is not set, as it is smaller."""
     return f': less than {sigmas:g} sigma, left at zero'
 

@@ -16,7 +16,7 @@ from mems_ins_fusion.recordings.messages import TEMPERATURE
 from mems_ins_fusion.recordings.motion import robust_sigma, sigmas
 from mems_ins_fusion.recordings.reading import FIX_TYPES, read_recording
 from mems_ins_fusion.recordings.remarks import count_of
-from mems_ins_fusion.recordings.transforms import places
+from mems_ins_fusion.recordings.transforms import sensor_poses
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 #: names of topics with results or references, not measurements
@@ -64,7 +64,7 @@ class Candidate:
 class Topics:
     """The topics of a recording; the first one of each tuple is used. others: by topic, its possible samples by the
     name of the measurement. places: by topic, from the recording's transforms: the place of the measurement, (3,) m,
-    and the rotation (3, 3) from its axes, in base_link (`transforms.places`)."""
+    and the rotation (3, 3) from its axes, in base_link (`transforms.sensor_poses`)."""
 
     imu: tuple[Candidate, ...]
     gnss: tuple[Candidate, ...]
@@ -106,8 +106,8 @@ def find_topics(path) -> Topics:
     """All IMUs and receivers of the recording `path`, the best of each kind first. RecordingError without an IMU."""
     with Bag(path) as bag:
         kinds, counts = bag.topics, bag.counts()
-        where = places(bag, {name: kind for name, kind in kinds.items()
-                             if kind in (IMU, *FIX_TYPES, *_OTHERS) and counts[name]})
+        where = sensor_poses(bag, {name: kind for name, kind in kinds.items()
+                                   if kind in (IMU, *FIX_TYPES, *_OTHERS) and counts[name]})
     named = {kind: sorted(name for name, k in kinds.items() if k == kind and counts[name] > 1)
              for kind in (IMU, *FIX_TYPES, TEMPERATURE, *_OTHERS)}
     if not named[IMU]:

@@ -28,7 +28,7 @@ from .findings import Finding
 from .fit import scores
 from .problem import Problem
 from .tracing import effect_unknowns
-from .window import behind
+from .window import from_stamp
 
 #: s of a simulated drive before a manoeuvre: the filter has to know its heading
 BEFORE = 80.0
@@ -96,7 +96,7 @@ def _by_filter(finding: Finding, unknowns: list, sigma: np.ndarray, recording: R
     least = np.array([finding.least.get(u.parameter, 0.0) for u in unknowns])
     own = np.maximum(sigma**2 - least**2, TINY * sigma**2)
     for name in ASKED:
-        information = shown(name, unknowns, recording, values)
+        information = fisher_information(name, unknowns, recording, values)
         yield name, np.sqrt(np.diag(np.linalg.inv(np.diag(1.0 / own) + information)) + np.minimum(least, sigma)**2)
 
 
@@ -104,7 +104,7 @@ def _by_look(finding: Finding, unknowns: list, sigma: np.ndarray, recording: Rec
              ) -> Iterator[tuple[str, np.ndarray]]:
     """Each of ASKED, and the sigmas behind it by the estimate that found it, with the noise that it has seen. As
     `_by_filter` where these samples do not show it any more."""
-    part = behind(recording, finding.since)
+    part = from_stamp(recording, finding.since)
     mounting = estimate_mounting(part.imu, part.gnss)
     offset = mounting.offset if mounting is not None else None
     if offset is None or not offset.shown:
@@ -112,7 +112,7 @@ def _by_look(finding: Finding, unknowns: list, sigma: np.ndarray, recording: Rec
         return
     now = _of(unknowns, offset.lag_sigma, offset.arm_sigma)
     for name in ASKED:
-        drive, begin = driven(name, part)
+        drive, begin = drive_with_manoeuvre(name, part)
         made = simulate_recording(drive, None, receiver(part, 0.0)).recording
         since = int(made.imu.stamp[0]) + round(begin * 1e9)
         yield name, sigma * _of(unknowns, *with_more(offset, made.imu, made.gnss, since)) / now
@@ -124,9 +124,9 @@ def _of(unknowns: list, lag_sigma: float, arm_sigma: np.ndarray) -> np.ndarray:
     return np.array([sigmas[unknown.parameter] for unknown in unknowns])
 
 
-def shown(name: str, unknowns: list, recording: Recording, values: dict) -> np.ndarray:
+def fisher_information(name: str, unknowns: list, recording: Recording, values: dict) -> np.ndarray:
     """Fisher information (p, p) of `unknowns` in DURATION s from the begin of the manoeuvre `name`."""
-    drive, before = driven(name, recording)
+    drive, before = drive_with_manoeuvre(name, recording)
     # with their noise: of perfect sensors, standing and driving straight on at one speed look the same
     sensors = SensorErrors.from_parameters(values, values['sensor_error_model'])
     simulated = simulate_recording(drive, sensors, receiver(recording),
@@ -141,7 +141,7 @@ def shown(name: str, unknowns: list, recording: Recording, values: dict) -> np.n
     return found.information(mask)
 
 
-def driven(name: str, recording: Recording) -> tuple[Drive, float]:
+def drive_with_manoeuvre(name: str, recording: Recording) -> tuple[Drive, float]:
     """A drive with the manoeuvre `name` and straight on until DURATION behind its begin, as fast as in `recording`, and
     the time of the begin, s."""
     segments, before = asked(name, driven_speed(recording.gnss), BEFORE, DURATION)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .drives import Drives, part
+from .drives import Drives, select_fixes
 from .estimate import PLAIN, Estimate
-from .fit import Model
+from .fit import FittedModel
 from .problem import blocks
 from .tracing import Candidate, significance
 
@@ -35,7 +35,7 @@ class _Side:
         return float(self.x @ self.weight @ self.x) > PLAIN**2
 
 
-def by_drive(model: Model, noise: int, chosen) -> dict[str, dict[str, Estimate]]:
+def by_drive(model: FittedModel, noise: int, chosen) -> dict[str, dict[str, Estimate]]:
     """Estimates of the unknowns `chosen` (indices) from each of several drives, by the name of the drive and of the
     parameter, without unit; empty for one drive. All unknowns but the noise levels are estimated.
     """
@@ -51,7 +51,7 @@ def by_drive(model: Model, noise: int, chosen) -> dict[str, dict[str, Estimate]]
     return found
 
 
-def contradicted(model: Model, noise: int, chosen) -> bool:
+def contradicted(model: FittedModel, noise: int, chosen) -> bool:
     """Whether a drive contradicts all others, or these the drive: no effect is clearly more likely than the estimate of
     `chosen` from the other side."""
     if len(model.problem.each) < 2 or not len(chosen):
@@ -80,19 +80,19 @@ def _in_each(candidate: Candidate, problem: Drives) -> list[float]:
     found = []
     usual = np.array([u.usual for u in candidate.unknowns])
     for drive, where in zip(problem.each, problem.slices) if len(problem.each) > 1 else ():
-        own = part(candidate.scores, where)
+        own = select_fixes(candidate.scores, where)
         information, total = own.information(drive.mask), own.gradient(drive.mask)
         theta = np.linalg.solve(information + np.diag(1e-6 / usual**2), total)
         found.append(significance(drive, own, theta, total)[1])
     return found
 
 
-def _masks(model: Model) -> list[np.ndarray]:
+def _masks(model: FittedModel) -> list[np.ndarray]:
     drives = model.problem.each
     return [np.concatenate([p.mask & (p is drive) for p in drives]) for drive in drives]
 
 
-def _side(model: Model, mask: np.ndarray, noise: int, chosen) -> _Side:
+def _side(model: FittedModel, mask: np.ndarray, noise: int, chosen) -> _Side:
     """Estimates from the fixes of `mask`; their covariance is from the information or, if larger, from the scatter of
     the scores of blocks."""
     x, covariance = model.refitted(mask, noise)
@@ -110,7 +110,7 @@ def _side(model: Model, mask: np.ndarray, noise: int, chosen) -> _Side:
     return _Side(x[chosen], weight / excess, np.sqrt(excess * np.diag(covariance)[chosen]))
 
 
-def said(drives: Mapping[str, Mapping[str, Estimate]]) -> str:
+def drives_text(drives: Mapping[str, Mapping[str, Estimate]]) -> str:
     """The estimates from each drive as text."""
     return '; '.join(f'{name}: ' + ', '.join(f'{p} {e.text()}' for p, e in found.items())
                      for name, found in drives.items())

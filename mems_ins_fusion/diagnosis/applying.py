@@ -12,11 +12,11 @@ from ..filter.config import FilterConfig
 from ..filter.runs.changing import ChangingFilter, Dropped, Handover
 from ..filter.runs.odometry import SIZE
 from ..samples import Recording
-from .gathering import Slots
-from .quantity import Findings
+from .gathering import ChunkEnds
+from .quantity import FilterFindings
 
 if TYPE_CHECKING:  # it brings all of `diagnose`, which a node has no use for
-    from .watch import Watch
+    from .watch import RecordingWatch
 
 #: chunks after its own with whose end the answer to a chunk counts. An answer takes 1 to 3 s of a core at 100 Hz, 10 to
 #: 30 s at the default share. Counted in chunks, not by the clock, so that a replay does the same at the same sample
@@ -32,7 +32,7 @@ def with_applied(given: dict, applied: dict[str, dict]) -> tuple[dict, dict[str,
     return but(None), {name: but(name) for name in applied if effect_called(name).held(given) == given}
 
 
-def go_on(fusion: ChangingFilter, given: dict, findings: Findings, changes: bool) -> None:
+def apply_findings(fusion: ChangingFilter, given: dict, findings: FilterFindings, changes: bool) -> None:
     """Have `fusion` go on with `findings` beside the parameters `given`. changes: whether others are applied now."""
     if changes:
         fusion.change(*with_applied(given, findings.applied))
@@ -40,15 +40,15 @@ def go_on(fusion: ChangingFilter, given: dict, findings: Findings, changes: bool
                     for name, sets in findings.tried.items()])
 
 
-class Due:
+class AnswerSchedule:
     """Which answer counts. applied: the findings that the filter has now, parameters by name of each.
 
     One thread calls `answered`, another one the rest.
     """
 
     def __init__(self, applied: dict[str, dict]):
-        self._now, self._answers, self._handed = Findings(applied, {}), [], 0
-        self._asked: Findings | None = None
+        self._now, self._answers, self._handed = FilterFindings(applied, {}), [], 0
+        self._asked: FilterFindings | None = None
         self._dropped: list[tuple[int, str]] = []  # chunks handed over before, and name
         #: answers that should be there and are not
         self.late = 0
@@ -57,7 +57,7 @@ class Due:
         """A chunk has been given to the diagnosis."""
         self._handed += 1
 
-    def answered(self, findings: Findings, is_chunk: bool = True) -> None:
+    def answered(self, findings: FilterFindings, is_chunk: bool = True) -> None:
         """The diagnosis has answered the next chunk, or what a user asked: that counts at once."""
         if is_chunk:
             self._answers.append(findings)
@@ -74,14 +74,14 @@ class Due:
         """Findings that have been dropped after the chunk with this number, from 0."""
         return {name for handed, name in self._dropped if answer < handed}
 
-    def asked(self) -> Findings | None:
+    def asked(self) -> FilterFindings | None:
         """The findings that a user has asked for, where others than before."""
         if self._asked is None:
             return None
         findings, self._asked = self._asked, None
         return self._new(findings)
 
-    def at_end_of_chunk(self) -> Findings | None:
+    def at_end_of_chunk(self) -> FilterFindings | None:
         """The findings from the first sample behind a chunk on, where others than before; before `handed`."""
         due = self._handed + 1 - WAIT
         there = min(due, len(self._answers))
@@ -90,19 +90,19 @@ class Due:
             return None
         return self._new(_without(self.unknown_to(there - 1), self._answers[there - 1]))
 
-    def _new(self, findings: Findings) -> Findings | None:
+    def _new(self, findings: FilterFindings) -> FilterFindings | None:
         if findings == self._now:
             return None
         self._now = findings
         return findings
 
 
-def _without(names: set[str], findings: Findings) -> Findings:
-    return Findings(*({name: sets for name, sets in part.items() if name not in names} for part in findings))
+def _without(names: set[str], findings: FilterFindings) -> FilterFindings:
+    return FilterFindings(*({name: sets for name, sets in part.items() if name not in names} for part in findings))
 
 
 @dataclass(frozen=True)
-class Driven:
+class LiveOutput:
     """What a live node would have published: stamps (k,) ns and `odometry` (k, 85), where filters have taken over, and
     what was dropped at once."""
 
@@ -112,12 +112,13 @@ class Driven:
     dropped: list[Dropped]
 
 
-def driven(recording: Recording, values: dict, watch: Watch | None = None, datum=None, every: int = 1) -> Driven:
+def live_output(recording: Recording, values: dict, watch: RecordingWatch | None = None, datum=None,
+                every: int = 1) -> LiveOutput:
     """`recording` through a live filter with the checked parameters `values`, sample by sample, that goes on with what
     `watch` finds in it as a node does; None: as it is. every: samples from one odometry kept to the next."""
     kept = {} if watch is None else watch.wanted.applied
     began, without = with_applied(values, kept)
-    fusion, slots, due = ChangingFilter(FilterConfig.from_parameters(began)), Slots(), Due(kept)
+    fusion, slots, due = ChangingFilter(FilterConfig.from_parameters(began)), ChunkEnds(), AnswerSchedule(kept)
     fusion.watch(without)
     fusion.datum = fusion.datum if datum is None else np.array(datum, dtype=float)
     imu, events = recording.imu, _events(recording)
@@ -129,7 +130,7 @@ def driven(recording: Recording, values: dict, watch: Watch | None = None, datum
         if watch and math.isfinite(sum(force[i]) + sum(rate[i])) and slots.ends_before(stamp):
             new = due.at_end_of_chunk()
             if new is not None:
-                go_on(fusion, values, new, new.applied != kept)
+                apply_findings(fusion, values, new, new.applied != kept)
                 kept = new.applied
             due.handed()
             due.answered(watch.take(untold))
@@ -151,7 +152,7 @@ def driven(recording: Recording, values: dict, watch: Watch | None = None, datum
             event = next(events, None)
         if i % 1000 == 0:
             fusion.notices(), fusion.verdicts()
-    return Driven(np.array(stamps, dtype=np.int64), np.array(rows).reshape(-1, SIZE), fusion.handovers, dropped)
+    return LiveOutput(np.array(stamps, dtype=np.int64), np.array(rows).reshape(-1, SIZE), fusion.handovers, dropped)
 
 
 def _events(recording: Recording):

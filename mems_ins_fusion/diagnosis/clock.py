@@ -33,7 +33,7 @@ ITERATIONS = 3  # number of linearizations when the time offset of a track is es
 
 
 @dataclass(frozen=True)
-class Clock:
+class ReferenceClock:
     """The clock of the reference. name: IMU, GNSS, OWN, or AUTO if it may be IMU or OWN. late, sigma: s by which the
     stamps of the reference are later than those of the fixes; NaN if unknown."""
 
@@ -42,13 +42,13 @@ class Clock:
     sigma: float
 
 
-def whose(recording: Recording, name: str) -> Clock:
+def reference_clock_of(recording: Recording, name: str) -> ReferenceClock:
     """The clock of the reference; without one the fixes are the truth. name: the parameter `reference_clock`."""
     if recording.reference is None or recording.gnss is None:
-        return Clock(GNSS, 0.0, 0.0)
+        return ReferenceClock(GNSS, 0.0, 0.0)
     late, sigma = lateness(recording.reference, recording.gnss)
     same = np.isfinite(late) and sigma < UNKNOWN and abs(late) < SAME + SIGMAS * sigma
-    return Clock(GNSS if name == AUTO and same else name, late, sigma)
+    return ReferenceClock(GNSS if name == AUTO and same else name, late, sigma)
 
 
 def lateness(reference: Reference, fixes: Fixes) -> tuple[float, float]:
@@ -84,7 +84,7 @@ def lateness_against(track: Run, truth: Truth) -> float:
     """s by which the stamps of the truth are later than those of a filter's track; 0 if unknown."""
     late = 0.0
     for _ in range(ITERATIONS):  # the velocity is not constant over a long offset
-        errors = position_errors(track, earlier(truth, round(late * 1e9)), np.zeros(len(truth), dtype=bool))
+        errors = position_errors(track, shifted_truth(truth, round(late * 1e9)), np.zeros(len(truth), dtype=bool))
         if not len(errors):
             return late
         at, time = ((stamp - track.stamp[0]) * 1e-9 for stamp in (errors.stamp, track.stamp))
@@ -94,7 +94,7 @@ def lateness_against(track: Run, truth: Truth) -> float:
     return late
 
 
-def earlier(truth: Truth, shift: int) -> Truth:
+def shifted_truth(truth: Truth, shift: int) -> Truth:
     """`truth` with stamps that are earlier by `shift`, ns."""
     return replace(truth, reference=replace(truth.reference, stamp=truth.reference.stamp - shift))
 

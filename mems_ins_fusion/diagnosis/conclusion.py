@@ -1,7 +1,7 @@
 """From the result of a search to corrected parameters: which corrections are proven together, and the report on it."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,24 +9,24 @@ import numpy as np
 from ..effects.base import Effect
 from ..evaluation.verdict import BETTER, CANNOT_TELL, WORSE, Verdict
 from . import learned_mounting
+from .candidate_proof import by_drive_of, sizes_with_sigma
 from .detection import detect
-from .drives import Drives, part
+from .drives import Drives, select_fixes
+from .error_changes import RUNS, candidates, compared, gain_proven, objection_to_errors, predicts_worse, verdict_on
 from .estimate import PLAIN, Estimate
 from .exact import sigmas
 from .findings import Diagnosis, Finding
-from .fit import Model
-from .folds import parts, which_part
+from .fit import FittedModel
+from .folds import part_masks, which_part
 from .held_out import HeldOut
-from .judgement import RUNS, candidates, compared, gain_proven, judged, objection_to_errors, predicts_worse
-from .judging import by_drive_of, sizes_of
-from .known import Known
-from .measured import Measured, in_common, saved
+from .known import SearchState
+from .measured import MeasuredErrors, errors_near_30_s, in_common
 from .noise import LARGEST_FACTOR
 from .noise_levels import WORTH, choose, multiplied, predictions
 from .plausible import implausible
 from .problem import Problem
 from .trial_runs import CHOOSING, LOOKING, MEASURING, TrialRuns
-from .unexplained import GoesWith, goes_with
+from .unexplained import Correlation, correlations
 
 TURNING = 0.03  # rad/s, smallest root mean square of the yaw rate with which a recording has enough turns
 SPEEDING = 0.15  # m/s^2, smallest root mean square of the acceleration with which it has enough changes of speed
@@ -35,7 +35,7 @@ LONGEST_GAP = 30.0  # s, longest time without a fix that is not remarked on: suc
 AT_BOUND = 0.95
 #: what shows how small a noise level is, by its name; else _AT_REST
 _SHOWN_BY = {'gnss.sigma': 'The filter learns it from the fixes (gnss.adapt_sigma)'}
-_AT_REST = 'A record at rest shows it (configure)'
+_AT_REST = 'A recording at rest shows how large it is (configure)'
 MOUNTING = 'mounting_rotation'
 #: why a finding is reported but not added
 NO_PROOF = 'no smaller error is proven with it'
@@ -77,15 +77,15 @@ class Correction:
 
 
 @dataclass(frozen=True)
-class Tried:
+class MeasuredCorrection:
     """A correction, its errors at the full rate, and those of the corrections beside it."""
 
     correction: Correction
-    errors: Measured
-    beside: tuple[Measured, ...] = ()
+    errors: MeasuredErrors
+    beside: tuple[MeasuredErrors, ...] = ()
 
 
-def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
+def concluded(known: SearchState, trials: TrialRuns) -> Diagnosis:
     """The diagnosis: the corrections that are proven, and the errors before and after."""
     trials.origin.watched(None)
     trials.tell(CHOOSING, 'choosing noise levels')
@@ -102,8 +102,8 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
     tried = _as_measured(corrections, trials)
     many = candidates(before, [one.errors for one in tried[:-1]])
     correction, after, verdict, judged_on, against = _chosen([
-        (one, judged(before, one.errors, one.correction.effects, many)) for one in tried],
-        before, trials.without_standstills)
+        (one, verdict_on(before, one.errors, one.correction.effects, many)) for one in tried],
+        before, trials.without_standstills, lambda one: trials.errors([one.values], full=True))
     comparison = compared(before, judged_on.errors)
     if correction.values != given:  # one filter may start later than the other
         before, after = in_common(before, after), in_common(after, before)
@@ -121,7 +121,7 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
     residuals = {'before': origin.before, 'fitted': origin.observed(fitted.values),
                  'after': origin.observed(correction.values), 'search': model.residual}
     trials.tell(LOOKING, 'looking at what is left')
-    rests = [goes_with(moved, part(model.scores, where), part(model.residual, where))
+    rests = [correlations(moved, select_fixes(model.scores, where), select_fixes(model.residual, where))
              for moved, where in zip(model.moved().each, origin.slices)]
     explained = {u.name: float(np.exp(x)) for u, x in zip(model.unknowns, model.x) if u.noise}
     remarks = [_remarks(p) for p in drives]
@@ -132,7 +132,7 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
         hidden=hidden, corrected=correction.values,
         verdict=verdict, tried=_said(given, judged_on.correction),
         before=before, fitted=noise_only, after=after, comparison=comparison,
-        rest=[rest for found in rests for rest in found],
+        correlations=[one for found in rests for one in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
         + _noise_remarks(model, correction.factors)
         + [f'{_SWITCHED[name][now]}: '
@@ -143,20 +143,24 @@ def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
     return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])
 
 
-def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
-            wanted: dict[str, bool]) -> tuple[Correction, Measured, Verdict, Tried, str]:
+def _chosen(tried: list[tuple[MeasuredCorrection, Verdict]], before: MeasuredErrors,
+            wanted: dict[str, bool], as_written: Callable[[Correction], MeasuredErrors],
+            ) -> tuple[Correction, MeasuredErrors, Verdict, MeasuredCorrection, str]:
     """The correction for corrected.yaml.
 
     tried: the best predictions first, the given parameters last. wanted: settings that the recording asks for
-    (`TrialRuns.without_standstills`); preferred if they do no harm.
+    (`TrialRuns.without_standstills`); preferred if they do no harm. as_written: errors with the values of
+    corrected.yaml, which are fitted to all data.
 
     Corrections with effects come first, because other noise levels can hide effects; then those with certainly smaller
-    errors, which matter more to a user than better predictions. The first one is taken that meets two conditions:
+    errors, which matter more to a user than better predictions. The first one is taken that meets three conditions:
     - Each of its parts is proven by itself, so that a params file that has the effects already gets the same noise
       levels as one that has not. Effects are proven by the likelihood of held-out data, noise levels and settings
       against the same filter without them (`_each_part_proven`).
     - Its errors are certainly smaller, or no error is larger. The latter is enough, because errors against withheld
       fixes need not show an effect: fixes that are stamped late are late where they are withheld, too.
+    - No error is larger with the values of corrected.yaml. They differ from those of the parts where the recording
+      leaves a range open; on the data that they were fitted to, errors are smaller than elsewhere, if anything.
     If there is none, the first one with effects and certainly smaller errors is taken, as the given parameters are
     worse; else the given parameters.
 
@@ -170,6 +174,7 @@ def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
     for one, verdict in [*stand, *(f for f in ordered if f[0].correction.effects and f[1].answer == BETTER)]:
         worse = '' if verdict.answer == BETTER else _worse(before, one.errors) or (
             NO_PROOF if verdict.answer == WORSE else '')
+        worse = worse or _worse(before, as_written(one.correction))
         if not worse:
             return one.correction, one.errors, verdict, one, against or NO_PROOF
         if one.correction.effects:
@@ -179,7 +184,7 @@ def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
     return kept.correction, kept.errors, verdict, best, against or NO_PROOF
 
 
-def _alternative(tried: list[tuple[Tried, Verdict]]) -> tuple[Tried, Verdict]:
+def _alternative(tried: list[tuple[MeasuredCorrection, Verdict]]) -> tuple[MeasuredCorrection, Verdict]:
     """What to report where the given parameters stay: of what was tried, as for `_chosen`, the best predictions that
     come with a smaller error, as a reader is told the error; else the best predictions. It is not BETTER."""
     smaller = [found for found in tried[:-1] if found[1].shown and found[1].shown.smaller]
@@ -201,7 +206,7 @@ def _has(values: dict, settings: dict) -> bool:
     return {**values, **settings} == values
 
 
-def _each_part_proven(one: Tried, wanted: dict[str, bool]) -> bool:
+def _each_part_proven(one: MeasuredCorrection, wanted: dict[str, bool]) -> bool:
     """Whether the noise levels and settings of a correction are proven against the same filter without them. For
     `wanted` settings it is enough that nothing is worse."""
     return all(
@@ -209,24 +214,25 @@ def _each_part_proven(one: Tried, wanted: dict[str, bool]) -> bool:
         else gain_proven(errors, one.errors) for without, errors in zip(one.correction.beside, one.beside, strict=True))
 
 
-def _worse(before: Measured, after: Measured) -> str:
+def _worse(before: MeasuredErrors, after: MeasuredErrors) -> str:
     """In words, what is certainly worse with `after` than with `before`; empty if nothing is."""
     return objection_to_errors(compared(before, after)) or (PREDICTS_WORSE if predicts_worse(before, after) else '')
 
 
-def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]) -> Diagnosis:
+def _in_drive(whole: Diagnosis, k: int, rest: list[Correlation], remarks: list[str]) -> Diagnosis:
     """The part of a diagnosis of several drives that is about the k-th."""
     problem, recording, where = whole.problem.each[k], whole.recordings[k], whole.problem.slices[k]
-    residuals = {stage: part(r, where) for stage, r in whole.residuals.items()}
+    residuals = {stage: select_fixes(r, where) for stage, r in whole.residuals.items()}
     return replace(
-        whole, recordings=(recording,), problem=Drives([problem]), residuals=residuals, rest=rest, remarks=remarks,
+        whole, recordings=(recording,), problem=Drives([problem]), residuals=residuals, correlations=rest,
+        remarks=remarks,
         detections={stage: detect(r, problem.mask) for stage, r in residuals.items()},
         before=whole.before.drives[recording.name], fitted=whole.fitted.drives[recording.name],
         after=whole.after.drives[recording.name],
         comparison=[row for row in whole.comparison if row.get('drive') == recording.name])
 
 
-def _options(known: Known, estimates: dict[str, dict[str, Estimate]], fitted: Correction, configured: Correction,
+def _options(known: SearchState, estimates: dict[str, dict[str, Estimate]], fitted: Correction, configured: Correction,
              trials: TrialRuns) -> list[Correction]:
     """Corrections to be compared: noise levels alone, effects with and without them; last the given parameters."""
     effects = configured
@@ -242,7 +248,7 @@ def _options(known: Known, estimates: dict[str, dict[str, Estimate]], fitted: Co
             replace(configured, settings=tuple(_only_told(f, '') for f in effects.settings))]
 
 
-def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[Tried]:
+def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[MeasuredCorrection]:
     """The corrections with their errors at the full rate, the best predictions first, the given parameters last. Each
     is also tried with the other value of a boolean setting (`TrialRuns.switches`)."""
     configured, options = corrections[-1], list(corrections[:-1])
@@ -257,8 +263,9 @@ def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[T
     def merit(tried):
         changed = bool(_switched(configured.values, tried.correction.values))
         return _merit(tried.errors) - changed * WORTH / predictions(tried.errors)
-    found = [Tried(option, measured(option), tuple(measured(one) for one in option.beside)) for option in options]
-    return [*sorted(found, key=merit, reverse=True), Tried(configured, measured(configured))]
+    found = [MeasuredCorrection(option, measured(option), tuple(measured(one) for one in option.beside))
+             for option in options]
+    return [*sorted(found, key=merit, reverse=True), MeasuredCorrection(configured, measured(configured))]
 
 
 def _fixes_while_running(correction: Correction, trials: TrialRuns) -> int:
@@ -294,9 +301,9 @@ def _with_settings(correction: Correction, trials: TrialRuns) -> Correction:
         else:
             # judged as they would drive: a filter that adapts to the noise of its samples may not need them
             before, after = (trials.errors(models, full=True) for models in (correction.by_part, further[1:]))
-            if judged(before, after, effects=True).answer == BETTER:
+            if verdict_on(before, after, effects=True).answer == BETTER:
                 sets = {n: v for n, v in further[0].items() if v != correction.values[n]}
-                finding = replace(finding, added=True, changes=sets, saves=saved(before, after))
+                finding = replace(finding, added=True, changes=sets, saves=errors_near_30_s(before, after))
                 correction = replace(correction, values=further[0], by_part=further[1:], effects=True)
             else:
                 finding = replace(finding, reason='no smaller error is proven with the settings against it')
@@ -308,7 +315,8 @@ def _with_mounting(correction: Correction, trials: TrialRuns) -> Correction:
     """`correction` with the mounting angles that the filter estimates itself, if it does and they do no harm."""
     if MOUNTING not in {e.name for e in trials.library}:
         return correction
-    found = learned_mounting.together([learned_mounting.angles(p.full, correction.values) for p in trials.origin.each])
+    found = learned_mounting.combined_angles([learned_mounting.learned_angles(p.full, correction.values)
+                                              for p in trials.origin.each])
     if found is None or not found.plain:
         return correction
     effect = next(e for e in trials.library if e.name == MOUNTING)
@@ -318,7 +326,7 @@ def _with_mounting(correction: Correction, trials: TrialRuns) -> Correction:
                                                         for n in learned_mounting.STATES}})
 
     whole = {name: e.value for name, e in found.whole.items()}
-    parted = correction.by_part * (len(parts(trials.origin)) if len(correction.by_part) == 1 else 1)
+    parted = correction.by_part * (len(part_masks(trials.origin)) if len(correction.by_part) == 1 else 1)
     # each part gets the angles from other data, or from one half of the data, so that errors contain their scatter
     halves = found.halves or [whole]
     by_part = [turned(values, halves[k % len(halves)]) for k, values in enumerate(parted)]
@@ -328,7 +336,7 @@ def _with_mounting(correction: Correction, trials: TrialRuns) -> Correction:
                       seen='the filter finds it itself in each drive, within a minute or two of it',
                       drives={p.recording.name: own for p, own in zip(trials.origin.each, found.drives)})
     before, after = trials.errors(correction.by_part), trials.errors(by_part)
-    finding = replace(finding, saves=saved(before, after))
+    finding = replace(finding, saves=errors_near_30_s(before, after))
     reason = implausible(MOUNTING, found.plain) or found.contradicted
     reason = reason or objection_to_errors(compared(before, after))  # the filter's own states have proven it
     if reason:
@@ -339,7 +347,7 @@ def _with_mounting(correction: Correction, trials: TrialRuns) -> Correction:
 def _with_noise_levels(correction: Correction, trials: TrialRuns) -> Correction:
     """`correction` with the noise levels that predict best; one of the starts of their search is its factors."""
     claimed = float(np.median(np.sqrt(trials.origin.claimed[:, 0, 0])))
-    levels = choose(correction.values, trials.each, which_part(trials.origin), len(parts(trials.origin)), claimed,
+    levels = choose(correction.values, trials.each, which_part(trials.origin), len(part_masks(trials.origin)), claimed,
                     correction.factors)
     factors = {name: factor for name, factor in levels.factors.items() if factor != 1.0}
     by_part = correction.by_part * (len(levels.by_part) if len(correction.by_part) == 1 else 1)
@@ -348,19 +356,20 @@ def _with_noise_levels(correction: Correction, trials: TrialRuns) -> Correction:
                    beside=(replace(correction, factors={}),) if factors else ())
 
 
-def _merit(measured: Measured) -> float:
+def _merit(measured: MeasuredErrors) -> float:
     """Mean log likelihood of the predicted positions; each prediction horizon has the same weight."""
     return float(np.mean([score.mean() for _, score in measured.scores() if len(score)]))
 
 
-def _estimates(known: Known, trials: TrialRuns) -> dict[str, dict[str, Estimate]]:
+def _estimates(known: SearchState, trials: TrialRuns) -> dict[str, dict[str, Estimate]]:
     """The parameters of each finding that are in the last joint fit, by the name of its effect."""
     model = known.model
     sigma = sigmas(model, trials.beside.track, trials.origin.given)
-    return {finding.name: sizes_of(finding, model, sigma) for finding in known.findings}
+    return {finding.name: sizes_with_sigma(finding, model, sigma) for finding in known.findings}
 
 
-def _proven_sigmas(known: Known, estimates: dict[str, dict[str, Estimate]], trials: TrialRuns) -> dict[str, float]:
+def _proven_sigmas(known: SearchState, estimates: dict[str, dict[str, Estimate]],
+                   trials: TrialRuns) -> dict[str, float]:
     """Standard deviations of the values that the added effects correct, by the parameters in which they stand. A value
     that was not fitted keeps the given one."""
     given, found = trials.origin.given, {}
@@ -378,7 +387,7 @@ def _stated(effect: Effect) -> dict[str, str]:
     return {p.name: p.sigma_in for p in effect.traced if p.sigma_in}
 
 
-def _final_findings(known: Known, estimates: dict[str, dict[str, Estimate]], hidden, corrected: dict,
+def _final_findings(known: SearchState, estimates: dict[str, dict[str, Estimate]], hidden, corrected: dict,
                     trials: TrialRuns) -> list[Finding]:
     """All findings with the estimates of the last joint fit, and what each has changed in `corrected`."""
     model, found = known.model, []
@@ -390,7 +399,7 @@ def _final_findings(known: Known, estimates: dict[str, dict[str, Estimate]], hid
         parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
         if not finding.added:  # what is less than PLAIN is no news
             parameters = {n: e for n, e in parameters.items() if not e.known or abs(e.value) >= PLAIN * e.sigma}
-            if not finding.apart and (not parameters or finding.held_out.gain <= 0) and (
+            if not finding.drives_contradict and (not parameters or finding.held_out.gain <= 0) and (
                     finding.name not in trials.certain):
                 continue
         changes = {}
@@ -411,7 +420,7 @@ def _final_findings(known: Known, estimates: dict[str, dict[str, Estimate]], hid
     return found
 
 
-def _not_shown(known: Known, settings: Sequence[Finding]) -> dict[str, str]:
+def _not_shown(known: SearchState, settings: Sequence[Finding]) -> dict[str, str]:
     """Names of effects and parameters that the recordings do not show, with the reason, from the last test of each."""
     estimated = {u.name for u in known.model.unknowns}
     last = {c.name: c for candidates in known.rounds for c in candidates}
@@ -421,7 +430,7 @@ def _not_shown(known: Known, settings: Sequence[Finding]) -> dict[str, str]:
     return {name: why for name, why in {**known.hidden, **undetermined}.items() if name not in found}
 
 
-def _noise_remarks(model: Model, chosen: dict[str, float]) -> list[str]:
+def _noise_remarks(model: FittedModel, chosen: dict[str, float]) -> list[str]:
     """Remarks on noise levels that rest on a bound: of the fit, or where one was chosen for the user, of that choice.
 
     At the upper one settings are wrong, or no effect explains the data. At the lower one the level is only known to be
@@ -437,14 +446,13 @@ def _noise_remarks(model: Model, chosen: dict[str, float]) -> list[str]:
     for name, factor, smallest, largest, shown in levels:
         if factor > AT_BOUND * largest and name != 'gnss.sigma':
             said.append(
-                f'{name} would have to be {factor:.0f} times as large as configured to explain this drive: no sensor '
-                'is so much noisier than its settings, so this stands for something that is not in the library '
+                f'{name} would have to be {factor:.0f} times as large as configured to explain this drive. No sensor '
+                'is so much noisier than its settings: the cause is something that is not in the library of effects '
                 '(vibration of the mount, samples that repeat, a scale or an axis that is not what it says).')
         if shown and smallest < 1.0 and factor * AT_BOUND < smallest:
             said.append(
-                f'{name} would have to be {factor:.2g} times as large as configured, or smaller still, to explain this '
-                'drive: that is the smallest that is tried, so how small it is does not show. '
-                f'{_SHOWN_BY.get(name, _AT_REST)}.')
+                f'{name} would have to be {factor:.2g} times as large as configured, or smaller, to explain this drive '
+                f'(smaller values are not tried). {_SHOWN_BY.get(name, _AT_REST)}.')
     return said
 
 

@@ -11,7 +11,7 @@ from ..effects.base import Effect
 from ..filter.runs.usable import usable
 from ..recordings.several import one_after_another
 from ..samples import Recording
-from .clock import whose
+from .clock import reference_clock_of
 from .conclusion import concluded
 from .drives import Drives, problems
 from .findings import Diagnosis
@@ -61,7 +61,7 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     found, left_out = problems(thinned, values, FEWEST_FIXES, others)
     thinned = [recording for recording in thinned if recording.name not in left_out]
     for problem, recording in zip(found, thinned):
-        problem.reference_clock = whose(recording, values['reference_clock']).name
+        problem.reference_clock = reference_clock_of(recording, values['reference_clock']).name
     library = tuple(effects if effects is not None else shown.effects(values))
     sizes = {'gnss_time_offset': [{'time_offset': other[TIME_OFFSET] - values[TIME_OFFSET]} for other in others],
              **{f'{name}_time_offset': [{'time_offset': left.value}] for name, left in shown.clocks.items()},

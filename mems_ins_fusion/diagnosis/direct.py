@@ -28,7 +28,7 @@ from ..samples import Recording
 from .estimate import Estimate
 from .findings import Finding
 from .held_out import HeldOut
-from .window import cut, seconds
+from .window import last_seconds, seconds
 
 #: s, lengths of the latest samples that are used, the shortest first, in which a change is found first
 LOOKED_AT = (60.0, 120.0, 240.0)
@@ -36,15 +36,15 @@ LOOKED_AT = (60.0, 120.0, 240.0)
 
 def shown_directly(recording: Recording, values: dict) -> list[Finding]:
     """Significant errors of the checked parameters `values` in the latest samples of `recording`."""
-    return [finding for finding in looked(recording, values) if finding.added]
+    return [finding for finding in direct_findings(recording, values) if finding.added]
 
 
-def looked(recording: Recording, values: dict) -> list[Finding]:
+def direct_findings(recording: Recording, values: dict) -> list[Finding]:
     """As `shown_directly`, with the parameters that are confirmed by the latest samples: these are not `added`, and
     have their possible remaining errors (`settled`: too small to matter)."""
     found: dict[str, Finding] = {}
     for length in LOOKED_AT:
-        for name, finding in _shown(cut(recording, length), values).items():
+        for name, finding in _shown(last_seconds(recording, length), values).items():
             before = found.get(name)
             if before is None or (_agree(before, finding) if before.added and finding.added else
                                   finding.added or not before.added and finding.says_more_than(before)):

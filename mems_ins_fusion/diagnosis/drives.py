@@ -28,7 +28,8 @@ class Drives:
         self.slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:])]
         self.stamp, self.mask, self.claimed, self.outlying = (
             np.concatenate([getattr(p, name) for p in self.each]) for name in ('stamp', 'mask', 'claimed', 'outlying'))
-        self.before, self.base = joined([p.before for p in self.each]), joined([p.base for p in self.each])
+        self.before = joined_residuals([p.before for p in self.each])
+        self.base = joined_residuals([p.base for p in self.each])
         self._by_name = {p.recording.name: p for p in self.each}
         self._watch: list[Callable[[], None] | None] = [None]
 
@@ -62,7 +63,7 @@ class Drives:
                            for p, recording in zip(self.each, recordings)]).without(self.outlying)
 
     def observed(self, values: dict) -> Residual:
-        return joined(on_all_cores(lambda p: p.observed(values), self.each))
+        return joined_residuals(on_all_cores(lambda p: p.observed(values), self.each))
 
     def moved(self, unknowns: Sequence[Unknown], x) -> Drives:
         return self._made([p.moved(unknowns, x) for p in self.each])
@@ -80,17 +81,17 @@ class Drives:
         found = on_all_cores(one, [(x, p) for x in points for p in self.each])
         if self._watch[0] is not None:
             self._watch[0]()
-        return [joined(found[i:i + count]) for i in range(0, len(found), count)]
+        return [joined_residuals(found[i:i + count]) for i in range(0, len(found), count)]
 
 
-def joined(residuals: Sequence[Residual]) -> Residual:
+def joined_residuals(residuals: Sequence[Residual]) -> Residual:
     """Innovations of several drives, one after another."""
     columns = {f.name: [getattr(r, f.name) for r in residuals] for f in fields(Residual)}
     return Residual(**{name: None if any(c is None for c in column) else np.concatenate(column)
                        for name, column in columns.items()})
 
 
-def part(of, where: slice):
+def select_fixes(of, where: slice):
     """The fixes `where` of a Residual, or of Scores."""
     arrays = {f.name: getattr(of, f.name) for f in fields(of)}
     return replace(of, **{name: None if array is None else array[where] for name, array in arrays.items()})

@@ -15,7 +15,7 @@ import numpy as np
 from ..configuration.offset import FLOOR, Offset
 from ..effects.registry import EFFECTS
 from .estimate import SYSTEMATIC
-from .fit import Model, Scores, priors, scores
+from .fit import FittedModel, Scores, priors, scores
 from .problem import Unknown
 from .tracing import effect_unknowns
 
@@ -27,7 +27,7 @@ HELD = 'gnss_time_offset', 'gnss_lever_arm'
 LONGEST_SMOOTHING = 10.0  # s, longest time over which a receiver smooths its positions
 
 
-def sigmas(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:
+def sigmas(model: FittedModel, track: Offset | None, given: Mapping) -> np.ndarray:
     """Standard deviations (p,) of the unknowns of `model`, for the decision on effects and for the report.
 
     track, given: as for `with_what_is_held`.
@@ -37,7 +37,7 @@ def sigmas(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:
     return np.hypot(with_what_is_held(model, track, given), receiver)
 
 
-def of_receiver(model: Model, track: Offset | None) -> float:
+def of_receiver(model: FittedModel, track: Offset | None) -> float:
     """Standard deviation, s, to be added to that of a time offset, as a receiver may smooth its positions, which is a
     delay when the vehicle brakes or turns. It has two parts: a share of the correlation time of the fixes' errors,
     which is that of the smoothing unless it is longer than LONGEST_SMOOTHING; and what `track` does not distinguish,
@@ -48,7 +48,7 @@ def of_receiver(model: Model, track: Offset | None) -> float:
     return math.hypot(SYSTEMATIC * smoothed, undecided, FLOOR)
 
 
-def with_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:
+def with_what_is_held(model: FittedModel, track: Offset | None, given: Mapping) -> np.ndarray:
     """Standard deviations (p,) of the unknowns of `model`; those of its time offset, lever arm and smoothing include
     that those of HELD that it does not fit may differ from `given`.
 
@@ -77,7 +77,7 @@ def with_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.
     return sigma
 
 
-def _joint(model: Model, held: Sequence[Unknown], other: Scores) -> Model:
+def _joint(model: FittedModel, held: Sequence[Unknown], other: Scores) -> FittedModel:
     """`model` with the unknowns `held` at zero as well, whose scores are `other`."""
     unknowns, joined = [*model.unknowns, *held], model.scores.joined(other)
     _, prior = priors(unknowns)

@@ -9,10 +9,10 @@ from .detection import Detection
 from .drives import Drives
 from .estimate import Estimate
 from .held_out import HeldOut
-from .measured import Measured
+from .measured import MeasuredErrors
 from .residuals import Residual
 from .tracing import Candidate
-from .unexplained import GoesWith
+from .unexplained import Correlation
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,9 @@ class Finding:
 
     group: names of the effects that the recording does not distinguish, itself first. changes: the parameters as the
     correction sets them. reason: why it was not added. seen: what shows it, if it was not fitted. drives: estimates
-    from each of several drives, by name. apart: the drives contradict each other. saves: duration of outages, s, and
-    the mean of the largest error in them without it and with it, m, each with the effects that were added before.
+    from each of several drives, by name. drives_contradict: whether these contradict each other. saves: duration of
+    outages, s, and the mean of the largest error in them without it and with it, m, each with the effects that were
+    added before.
     since: ns, stamp of the first sample that shows it; 0: unknown. least: part of the sigma of a parameter that does
     not decrease with more samples. settled: not added, and all that may be left does not matter. direct: estimated
     without a filter, as `configure` does.
@@ -39,7 +40,7 @@ class Finding:
     changes: dict = field(default_factory=dict)
     seen: str = ''
     drives: dict[str, dict[str, Estimate]] = field(default_factory=dict)
-    apart: bool = False
+    drives_contradict: bool = False
     saves: tuple[float, float, float] | None = None
     since: int = 0
     least: dict[str, float] = field(default_factory=dict)
@@ -61,7 +62,7 @@ class Diagnosis:
 
     noise: factors on noise levels in `corrected`. explained: factors with the highest likelihood of the innovations,
     which are not used in `corrected`. drives: the part of the diagnosis about each of several drives. left_out: by
-    name, why other drives are not part of it.
+    name, why other drives are not part of it. correlations: of what is left unexplained with what was recorded.
     """
 
     recordings: tuple[Recording, ...]
@@ -78,11 +79,11 @@ class Diagnosis:
     corrected: dict
     verdict: Verdict  # on `corrected`; if that is `values`, on the best correction tried
     tried: str  # what `verdict` is on, in words
-    before: Measured
-    fitted: Measured
-    after: Measured
+    before: MeasuredErrors
+    fitted: MeasuredErrors
+    after: MeasuredErrors
     comparison: list[dict]  # of the errors that `verdict` is about with those before
-    rest: list[GoesWith]
+    correlations: list[Correlation]
     remarks: list[str] = field(default_factory=list)
     drives: list[Diagnosis] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
@@ -114,4 +115,4 @@ class Diagnosis:
 
     @property
     def unexplained(self) -> bool:
-        return self.detections['search'].lacking or bool(self.rest)
+        return self.detections['search'].lacking or bool(self.correlations)

@@ -125,7 +125,7 @@ def _scores_beside(at: Residual, pairs) -> Scores:
 
 
 @dataclass(frozen=True)
-class Model:
+class FittedModel:
     """What is assumed and how well it fits: unknowns at x with covariance (p, p), and residual and scores there."""
 
     problem: Problem
@@ -175,12 +175,13 @@ def priors(unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray]:
     return np.array([u.base for u in unknowns]), np.array([u.prior for u in unknowns])
 
 
-def refined(model: Model, iterations: int = 8) -> Model:
+def fitted_further(model: FittedModel, iterations: int = 8) -> FittedModel:
     """`model` fitted further."""
     return fit(model.problem, model.unknowns, model.x, iterations, model)
 
 
-def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8, begun: Model | None = None) -> Model:
+def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8,
+        begun: FittedModel | None = None) -> FittedModel:
     """The maximum of the likelihood.
 
     Fisher's scoring with Levenberg's damping; each unknown has a weak Gaussian prior about its base. begun: a model
@@ -208,7 +209,8 @@ def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8, b
             damping = max(10 * damping, 1e-2)
         if not moved or gain < ENOUGH_GAIN:
             break
-    return Model(problem, list(unknowns), x, np.linalg.inv(found.information(mask) + np.diag(1 / prior**2)), at, found)
+    return FittedModel(problem, list(unknowns), x, np.linalg.inv(found.information(mask) + np.diag(1 / prior**2)), at,
+                       found)
 
 
 def objective_of(residual: Residual, mask, x, base, prior) -> float:

@@ -12,7 +12,7 @@ SHORTEST_BLOCK = 30.0  # s, shortest block: a filter needs some seconds of each 
 FEWEST_DRIVES = 3  # smallest number of drives that are held out as wholes
 
 
-def parts(problem: Problem | Drives) -> list[np.ndarray]:
+def part_masks(problem: Problem | Drives) -> list[np.ndarray]:
     """Masks (f,) of the fixes of each part, within the mask of the problem."""
     if len(problem.each) < FEWEST_DRIVES:
         return [np.concatenate(same) for same in zip(*(_blocks(p) for p in problem.each))]
@@ -29,8 +29,8 @@ def _blocks(problem: Problem) -> list[np.ndarray]:
 
 
 def which_part(problem: Problem):
-    """A function that returns the index in `parts`, -1 for none, for stamps (k,) ns."""
-    masks = parts(problem)
+    """A function that returns the index in `part_masks`, -1 for none, for stamps (k,) ns."""
+    masks = part_masks(problem)
 
     def of(stamp):
         found = np.full(len(stamp), -1)

@@ -21,7 +21,7 @@ NAME = 'the last minutes'
 _FIX_TYPES = (float, float, float, float, np.int8, np.uint8)
 
 
-class Slots:
+class ChunkEnds:
     """When a chunk ends: with the last sample before the next slot of CHUNK s, counted from the first sample, and where
     the stamps jump. newest: the latest stamp since, ns; 0: none yet."""
 
@@ -41,7 +41,7 @@ class Slots:
 
 
 @dataclass
-class Gathered:
+class Chunk:
     """One chunk, as it came in: stamps (ns), the numbers as in their samples, and the newest stamp of the IMU.
 
     kinds: what the measurements besides the fixes are as arrays, by name.
@@ -83,15 +83,15 @@ class Gathering:
 
     def __init__(self, inputs: Sequence[Measurement] = AIDING):
         self._kinds = {one.name: one.samples for one in inputs}
-        self._slots, self._chunk = Slots(), Gathered(self._kinds)
+        self._slots, self._chunk = ChunkEnds(), Chunk(self._kinds)
 
-    def add_sample(self, sample: tuple) -> Gathered | None:
+    def add_sample(self, sample: tuple) -> Chunk | None:
         """Stamp (ns), specific force, angular rate. What came before it, where that is a chunk."""
         full = None
         if not math.isfinite(sum(sample[1:])):
             return full
         if self._slots.ends_before(sample[0]):
-            full, self._chunk = self._chunk, Gathered(self._kinds)
+            full, self._chunk = self._chunk, Chunk(self._kinds)
         self._chunk.samples.append((*sample, self._slots.newest))
         return full
 
@@ -112,7 +112,7 @@ def chunks(recording: Recording, inputs: Sequence[Measurement] = AIDING) -> Iter
     What came before the first sample, the temperature and the reference are left out; received: when the newest sample
     before it was stamped.
     """
-    imu, slots, newest, edges = recording.imu, Slots(), [], [0]
+    imu, slots, newest, edges = recording.imu, ChunkEnds(), [], [0]
     imu = imu.select(np.isfinite(imu.specific_force.sum(axis=1) + imu.angular_rate.sum(axis=1)))
     for i, stamp in enumerate(imu.stamp.tolist()):
         if slots.ends_before(stamp):

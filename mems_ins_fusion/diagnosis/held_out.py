@@ -12,8 +12,8 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from .drives import Drives
-from .fit import Model
-from .folds import SHORTEST_BLOCK, parts
+from .fit import FittedModel
+from .folds import SHORTEST_BLOCK, part_masks
 from .problem import Problem
 from .residuals import Residual
 
@@ -53,7 +53,7 @@ class HeldOut:
         return self.stands and self.gain > 0 and (self.p < CERTAIN or self.gain > CLEAR and self.p < HELD_OUT_P)
 
 
-def held_out(longer: Model, shorter: Model, noise: int, support: float = SUPPORT) -> HeldOut:
+def held_out(longer: FittedModel, shorter: FittedModel, noise: int, support: float = SUPPORT) -> HeldOut:
     """The gain of `longer` over `shorter` on data that neither was fitted to.
 
     The first `noise` unknowns of both are noise levels; they are not fitted again. The gain is that of the whole
@@ -65,7 +65,7 @@ def held_out(longer: Model, shorter: Model, noise: int, support: float = SUPPORT
     old = [place[u.name] for u in shorter.unknowns]
     new = sorted(set(place.values()) - set(old))
     found, without, supported = [], [], 0
-    for part in parts(problem):
+    for part in part_masks(problem):
         mask = problem.mask & ~part
         x, covariance = longer.refitted(mask, noise)
         without.append(shorter.refitted(mask, noise)[0])
@@ -76,7 +76,7 @@ def held_out(longer: Model, shorter: Model, noise: int, support: float = SUPPORT
         found.append(x)
     one, other = problem.residuals(longer.unknowns, found), problem.residuals(shorter.unknowns, without)
     gains = np.zeros(len(problem.stamp))
-    for part, with_it, plain in zip(parts(problem), one, other):
+    for part, with_it, plain in zip(part_masks(problem), one, other):
         # a fix without an innovation in one of them counts as no gain
         gains[part] = np.nan_to_num((with_it.log_likelihood() - plain.log_likelihood())[part])
     return replace(_of_gains(problem, gains, found), supported=supported / len(found))
@@ -88,7 +88,7 @@ def gain_of(problem: Problem, before: Residual, after: Residual) -> HeldOut:
     return _without_fit(problem, before.of_fixes, after.of_fixes)
 
 
-def certainly_better(one: Model, other: Model, gain: float) -> bool:
+def certainly_better(one: FittedModel, other: FittedModel, gain: float) -> bool:
     """Whether `one` explains the same data better than `other` does, by more than `gain` in log likelihood and for
     certain: the difference is tested by its scatter over blocks of time (Q. H. Vuong, 1989), as innovations that follow
     each other make its sum larger than it is worth."""

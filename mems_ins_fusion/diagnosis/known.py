@@ -7,14 +7,14 @@ import numpy as np
 
 from ..effects.base import Effect
 from .findings import Finding
-from .fit import Model
-from .measured import Measured
+from .fit import FittedModel
+from .measured import MeasuredErrors
 from .problem import Problem
 from .tracing import Candidate
 
 
 @dataclass(frozen=True)
-class Known:
+class SearchState:
     """State of the search after a step: the model, the findings, and the effects that are still candidates.
 
     errors: of the user's filter with the effects so far, in each part of the data with the estimate from the others.
@@ -25,8 +25,8 @@ class Known:
     """
 
     problem: Problem
-    model: Model
-    errors: Measured
+    model: FittedModel
+    errors: MeasuredErrors
     effects: tuple[Effect, ...]
     rejected: tuple[Effect, ...] = ()
     estimates: tuple[np.ndarray, ...] = ()

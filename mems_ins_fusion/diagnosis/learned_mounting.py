@@ -23,7 +23,7 @@ SMALL = math.radians(1.5)
 STATES = {'pitch': 'mounting_pitch', 'yaw': 'mounting_yaw'}
 
 
-def hides(values: dict) -> dict[str, str]:
+def estimated_by_filter(values: dict) -> dict[str, str]:
     """Effects that are states of the filter with these parameters, and why they are not traced."""
     if MountingRotation().held(values) != values:
         return {MountingRotation.name: 'the filter estimates pitch and yaw itself (imu.mounting_sigma)'}
@@ -31,7 +31,7 @@ def hides(values: dict) -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Angles:
+class LearnedAngles:
     """Mounting angles as learned, rad: of all data, and of its halves, or of all drives but one in turn.
 
     drives: of each of several drives. contradicted: that these contradict each other, empty where they do not.
@@ -49,9 +49,9 @@ class Angles:
                 if abs(e.value) > SMALL and abs(e.value) > PLAIN * e.sigma}
 
 
-def angles(recording: Recording, values: dict) -> Angles | None:
+def learned_angles(recording: Recording, values: dict) -> LearnedAngles | None:
     """The mounting's angles as a filter with these parameters learns them; None where it does not."""
-    if not hides(values):
+    if not estimated_by_filter(values):
         return None
     config = FilterConfig.from_parameters(values)
     begin, end = recording.imu.stamp[[0, -1]]
@@ -64,7 +64,7 @@ def angles(recording: Recording, values: dict) -> Angles | None:
     for name, (value, sigma) in whole.items():
         apart = [abs(half[name][0] - value) for half in halves]
         found[name] = Estimate(value, max([sigma, *apart]), 'rad')
-    return Angles(found, [{name: value for name, (value, _) in half.items()} for half in halves])
+    return LearnedAngles(found, [{name: value for name, (value, _) in half.items()} for half in halves])
 
 
 def _learned(config: FilterConfig, recording: Recording, begin: int, end: int) -> dict | None:
@@ -84,7 +84,7 @@ def _learned(config: FilterConfig, recording: Recording, begin: int, end: int) -
             for angle, state in STATES.items() if state in names}
 
 
-def together(found: Sequence[Angles | None]) -> Angles | None:
+def combined_angles(found: Sequence[LearnedAngles | None]) -> LearnedAngles | None:
     """The angles of one mounting in several drives, weighted by their sigmas; None where none was learned."""
     if len(found) == 1 or all(angles is None for angles in found):
         return found[0]
@@ -98,7 +98,7 @@ def together(found: Sequence[Angles | None]) -> Angles | None:
     apart = [name for name in names if np.ptp([a[name].value for a in known]) > max(
         SMALL, PLAIN * float(np.hypot(*sorted(a[name].sigma for a in known)[-2:]) if len(known) > 1 else 0.0))]
     said = ', '.join(f'{name} ' + ', '.join(f'{a[name].value:.3f}' for a in known) + ' rad' for name in apart)
-    return Angles(whole, others, drives, f'the drives contradict each other: {said}' if apart else '')
+    return LearnedAngles(whole, others, drives, f'the drives contradict each other: {said}' if apart else '')
 
 
 def _mean(estimates: Sequence[Estimate]) -> Estimate:

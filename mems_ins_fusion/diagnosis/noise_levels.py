@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .measured import Measured
+from .measured import MeasuredErrors
 from .noise import LARGEST_FACTOR, MODEL_NOISE, ONLY_LARGER, scaled
 
 STEP = float(np.sqrt(10.0))  # ratio of successive factors that are tried
@@ -24,7 +24,7 @@ STEPS = dict.fromkeys(ONLY_LARGER, (0, 1))  # smallest and largest number, where
 
 
 @dataclass(frozen=True)
-class Levels:
+class NoiseLevels:
     """Factors on noise levels, by name. by_part: for each part, the factors that the other parts choose."""
 
     factors: dict[str, float]
@@ -51,8 +51,8 @@ def adjustable(values: dict) -> list[str]:
     return names if adapts else ['gnss.sigma', *names]
 
 
-def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], part_of: Callable, count: int,
-           claimed: float, start: dict[str, float] | None = None) -> Levels:
+def choose(values: dict, errors: Callable[[Sequence[dict]], list[MeasuredErrors]], part_of: Callable, count: int,
+           claimed: float, start: dict[str, float] | None = None) -> NoiseLevels:
     """The levels that predict best. The search begins at the configured levels, or at `start` if these are better, and
     moves one level after the other up or down as long as predictions become better.
 
@@ -83,7 +83,7 @@ def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], par
     points = list(tried)
     table = np.array([tried[p] for p in points])
     chosen = [points[k] for k in np.argmax(table, axis=0)]
-    return Levels(_factors(names, chosen[-1]), [_factors(names, p) for p in chosen[:-1]])
+    return NoiseLevels(_factors(names, chosen[-1]), [_factors(names, p) for p in chosen[:-1]])
 
 
 def _along(best, i, limits: tuple[int, int], merits, tried):
@@ -107,7 +107,7 @@ def _along(best, i, limits: tuple[int, int], merits, tried):
     return best
 
 
-def predictions(measured: Measured) -> int:
+def predictions(measured: MeasuredErrors) -> int:
     """Number of independent predictions: outages that begin at the same fix count once, whatever their durations."""
     return max([1, *(o.apart for o in measured.outages)])
 
@@ -116,7 +116,7 @@ def _factors(names, point) -> dict[str, float]:
     return {name: round(STEP**k, 2) if k >= 0 else round(STEP**k, 3) for name, k in zip(names, point)}
 
 
-def _merit(measured: Measured, part_of, count: int) -> np.ndarray:
+def _merit(measured: MeasuredErrors, part_of, count: int) -> np.ndarray:
     """Mean over the horizons of the mean log likelihood, (count + 1,): without each of the parts, and of all data."""
     total = np.zeros(count + 1)
     for stamp, score in measured.scores():

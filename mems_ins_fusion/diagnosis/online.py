@@ -27,16 +27,26 @@ from ..filter.runs.usable import usable
 from ..samples import Recording
 from .advice import WORTH, Advice, advised
 from .diagnose import diagnose
-from .direct import looked
+from .direct import direct_findings
 from .estimate import Estimate, systematic
 from .false_alarms import FalseAlarms
 from .findings import Finding
 from .gathering import CHUNK
 from .held_out import HeldOut
-from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, Findings, Kept, Quantity, together
+from .quantity import (
+    ALL,
+    COARSE,
+    FINE,
+    INITIALISING,
+    NOTHING,
+    EarlierFinding,
+    FilterFindings,
+    FindingState,
+    merged_settings,
+)
 from .trial import DOUBTED, Trial
-from .trial_outages import SETTLING, Predictions, has_estimate_alone, pairs
-from .window import behind, cut, joined, jumps, seconds
+from .trial_outages import SETTLING, Predictions, has_estimate_alone, paired_errors
+from .window import from_stamp, joined_recordings, jumps, last_seconds, seconds
 
 #: s of samples before the first analysis. Chosen, not measured
 FIRST = 120.0
@@ -90,15 +100,17 @@ class Online:
     """The diagnosis of a vehicle whose filter has the checked parameters `values`.
 
     find: an analysis, from recording and parameters to findings; by default those that `diagnose` would add. look: a
-    quick one without a filter, each LOOKED s, with the parameters that are confirmed; by default `looked`. kept:
-    findings proven in an earlier drive, which are applied and are SUSPECT until they are proven again.
+    quick one without a filter, each LOOKED s, with the parameters that are confirmed; by default `direct_findings`.
+    kept: findings proven in an earlier drive, which are applied and are SUSPECT until they are proven again.
 
     An analysis takes longer than a chunk: its result is used with the answer to a later chunk, always the same one.
     `analyse` does it in advance; otherwise this chunk waits for it.
     """
 
-    def __init__(self, values: dict, find: Find | None = None, look: Find | None = None, kept: Sequence[Kept] = ()):
-        self._values, self._find, self._look = {**values, 'bag': []}, find or found, look or looked
+    def __init__(self, values: dict, find: Find | None = None, look: Find | None = None,
+                 kept: Sequence[EarlierFinding] = ()):
+        self._values = {**values, 'bag': []}
+        self._find, self._look = find or findings_in_recording, look or direct_findings
         self._applies = values['diagnosis.online'] == 'apply'
         self._length = values['diagnosis.window']
         self._wait = math.ceil(ANALYSIS / (CHUNK * values['diagnosis.share'])) - 1  # number of chunks for an analysis
@@ -132,10 +144,10 @@ class Online:
         return 0 if self._window is None else int(self._window.imu.stamp[-1])
 
     @property
-    def wanted(self) -> Findings:
+    def wanted(self) -> FilterFindings:
         """The findings for the filters."""
         tried = {name: trial.sets for name, trial in self.trials.items() if self._applies and not trial.rejected}
-        return Findings({name: trial.sets for name, trial in self.applied.items()}, tried)
+        return FilterFindings({name: trial.sets for name, trial in self.applied.items()}, tried)
 
     @property
     def sets(self) -> dict:
@@ -143,9 +155,9 @@ class Online:
         return self._sets()
 
     def _sets(self, without: str = '') -> dict:
-        return together(trial for name, trial in self.applied.items() if name != without)
+        return merged_settings(trial for name, trial in self.applied.items() if name != without)
 
-    def take(self, chunk: Recording, dropped: Sequence[Dropped] = ()) -> list[Quantity]:
+    def take(self, chunk: Recording, dropped: Sequence[Dropped] = ()) -> list[FindingState]:
         """The findings after `chunk`, the samples since the previous one. dropped: findings that the filter has dropped
         in it."""
         self.advise()
@@ -160,7 +172,7 @@ class Online:
             self._begins = int(chunk.imu.stamp[0])
             for trial in self.applied.values():
                 trial.finding = _known(trial.kept, trial.kept.aged(self._begins))
-        before, self._window = self._window, cut(joined(self._window, chunk), self._length)
+        before, self._window = self._window, last_seconds(joined_recordings(self._window, chunk), self._length)
         self._since += seconds(chunk)
         self._lately += seconds(chunk)
         gone = [one for one in dropped if one.name in self.applied]
@@ -215,7 +227,7 @@ class Online:
             return
         part = self._window
         if latest >= NEARLY and latest >= whole:
-            self._lately, part = 0.0, cut(self._window, LATEST)
+            self._lately, part = 0.0, last_seconds(self._window, LATEST)
         else:
             self._since, self._lately = 0.0, 0.0 if young else self._lately
             self._analyses += 1
@@ -322,11 +334,11 @@ class Online:
         compared += [(trial, {**self._values, **self._sets(without=name)}, values)
                      for name, trial in self.applied.items()]
         for trial, *both in compared:
-            latest = cut(before, SEEN)
+            latest = last_seconds(before, SEEN)
             if not trial.taken and len(latest.gnss):  # for the correlation time of the errors
-                trial.see(pairs(*_outages(trial, both, before, latest, {})))
+                trial.see(paired_errors(*_outages(trial, both, before, latest, {})))
             present, other = _outages(trial, both, self._window, chunk, known)
-            trial.take(pairs(present, other), self._now, alone=has_estimate_alone(other, present))
+            trial.take(paired_errors(present, other), self._now, alone=has_estimate_alone(other, present))
         self._false_alarms.pass_on((*self.trials.values(), *self.applied.values()))
         if self._applies:
             self._decide()
@@ -338,7 +350,7 @@ class Online:
         if proven not in self.applied and self._take_back_harmful():
             return
         if proven in self.applied:  # the proven value replaces the applied one
-            self._window = cut(self._window, LATEST)
+            self._window = last_seconds(self._window, LATEST)
         if proven is not None:
             self._apply(proven)
 
@@ -347,7 +359,8 @@ class Online:
         harmful = next((name for name, trial in self.applied.items() if trial.rejected), None)
         if harmful is not None:
             self._take_back(harmful)
-            self._window = cut(self._window, LATEST)  # earlier samples are those of the vehicle before the change
+            # earlier samples are those of the vehicle before the change
+            self._window = last_seconds(self._window, LATEST)
         return harmful is not None
 
     def _take_back(self, name: str) -> None:
@@ -380,29 +393,29 @@ class Online:
             self._take_back(one.name)
             self.trials[one.name].begin_anew()
         since = max(one.since for one in dropped)
-        self._window = cut(self._window, (int(self._window.imu.stamp[-1]) - since) * 1e-9)
+        self._window = last_seconds(self._window, (int(self._window.imu.stamp[-1]) - since) * 1e-9)
         self._since = self._lately = seconds(self._window)
         self._analyses = self._concluded = 0
 
-    def accept(self) -> list[Quantity]:
+    def accept(self) -> list[FindingState]:
         """Apply all findings on trial that have not been shown to do harm, on request of the user."""
         for name in [name for name, trial in self.trials.items() if not trial.rejected]:
             self._apply(name)
         return self.quantities()
 
-    def reject(self) -> list[Quantity]:
+    def reject(self) -> list[FindingState]:
         """Remove all applied findings and end all trials, on request of the user. A finding may be tried again later.
         """
         self.trials, self.applied, self._analysis, self._unadvised = {}, {}, None, []
         return self.quantities()
 
-    def reset(self) -> list[Quantity]:
+    def reset(self) -> list[FindingState]:
         """Forget everything except the number of trials, as after work on the vehicle."""
         self._window, self._since, self._lately, self._analyses, self._concluded = None, 0.0, 0.0, 0, 0
         self._as_given, self._advice = {}, {}
         return self.reject()
 
-    def quantities(self) -> list[Quantity]:
+    def quantities(self) -> list[FindingState]:
         """The present findings, or one entry with the name `all`; and one for each confirmed parameter."""
         now = self._now
         told = [trial.quantity(now, name) for name, trial in self.applied.items()]
@@ -415,34 +428,34 @@ class Online:
         if self._window is None:
             return []
         if self._concluded:
-            return [Quantity(now, ALL, NOTHING, {}, text=f'nothing found in {self._concluded} analyses'
-                             f"{f' ({self._why})' if self._why else ''}"), *as_given]
+            return [FindingState(now, ALL, NOTHING, {}, text=f'nothing found in {self._concluded} analyses'
+                                 f"{f' ({self._why})' if self._why else ''}"), *as_given]
         if self._analysis is None:
             text = f'{self._since:.0f} of {self._due:.0f} s of samples for a first analysis'
         else:
             left = (self._analysis.due - self._taken) * CHUNK
             text = f'a first analysis goes on, told in {left:.0f} s; the latest minutes are looked at meanwhile'
-        return [Quantity(now, ALL, INITIALISING, {}, text=text), *as_given]
+        return [FindingState(now, ALL, INITIALISING, {}, text=text), *as_given]
 
 
 def _outages(trial: Trial, both: list[dict], window: Recording, chunk: Recording, known: dict) -> list[dict]:
     """What the filters with `both` parameters predict in the outages of `chunk`, at the end of `window`, each as of
     `trial_outages.predicted`. known: predictions of this chunk, by the first sample of the filters."""
-    part, effect = cut(window, SETTLING + seconds(chunk)), effect_called(trial.finding.name)
+    part, effect = last_seconds(window, SETTLING + seconds(chunk)), effect_called(trial.finding.name)
     # with samples from before a change, the filter that is right after it would start with errors
     since = max(trial.finding.since, int(part.imu.stamp[0]))
-    predictions = known.setdefault(since, Predictions(behind(part, since), chunk))
+    predictions = known.setdefault(since, Predictions(from_stamp(part, since), chunk))
     lasting = effect.lasting(both[-1])
     return [{d: outages if d >= lasting else {} for d, outages in predictions.of(effect.held(one)).items()}
             for one in both]
 
 
-def as_given_quantity(now: int, one: Finding, advice: Advice | None) -> Quantity:
+def as_given_quantity(now: int, one: Finding, advice: Advice | None) -> FindingState:
     """A confirmed parameter in words. now: ns, stamp of the newest sample."""
     left = ', '.join(f'{parameter} {e.text()}' for parameter, e in one.parameters.items())
-    return Quantity(now, one.name, FINE if one.settled else COARSE if left else INITIALISING, one.parameters,
-                    text=f'{left} left of what is given' if left else 'does not show in what was driven so far',
-                    advice=advice.text() if advice else '')
+    return FindingState(now, one.name, FINE if one.settled else COARSE if left else INITIALISING, one.parameters,
+                        text=f'{left} left of what is given' if left else 'does not show in what was driven so far',
+                        advice=advice.text() if advice else '')
 
 
 def _not_seen_as_usual(one: Finding) -> Finding:
@@ -451,12 +464,13 @@ def _not_seen_as_usual(one: Finding) -> Finding:
     return replace(one, parameters={**usual, **one.parameters})
 
 
-def _known(kept: Kept, parameters: dict) -> Finding:
+def _known(kept: EarlierFinding, parameters: dict) -> Finding:
     """A finding of an earlier drive, with the parameters of the effect for now."""
     return Finding(kept.name, [kept.name], parameters, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=kept.sets)
 
 
-def found(recording: Recording, values: dict, progress: Callable = lambda part, what: None) -> list[Finding]:
+def findings_in_recording(recording: Recording, values: dict,
+                          progress: Callable = lambda part, what: None) -> list[Finding]:
     """Findings of `diagnose` in `recording` that it proves there, and contradictions to parameters."""
     return [replace(f, least=systematic(f.parameters)) for f in diagnose(
         recording, values, progress, durations=ANALYSED).findings if f.added and f.changes]

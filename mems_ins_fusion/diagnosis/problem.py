@@ -16,7 +16,7 @@ import numpy as np
 
 from ..configuration.vehicle import standstills_show
 from ..errors import InputError
-from ..evaluation.comparison import aiding_of, samples_to_keep, thin
+from ..evaluation.comparison import aiding_of, fixes_apart, samples_to_keep
 from ..filter.config import FilterConfig
 from ..filter.measurements.registry import aiding
 from ..filter.memory import PLANAR, Event, Kind, Verdict
@@ -112,7 +112,7 @@ class Problem:
     that the filter uses written into the fixes, and without those that the filter with the given parameters refuses.
     stamp (f,): ns, of the fixes; mask (f,): the fixes with a residual. began: ns, time of the first estimate with the
     given parameters, by the clock of the fixes. counted (f, b): the residuals besides the fixes that count, those of
-    the filter as given. reference_clock: clock of the truth (`clock.whose`). others: further
+    the filter as given. reference_clock: clock of the truth (`clock.reference_clock_of`). others: further
     parameters from which a search may start (`starts.other_starts`).
     """
 
@@ -129,7 +129,7 @@ class Problem:
             raise DiagnosisError(f'{recording.name}: {reason}')
         # in the clock of the fixes, as in a replay, so that both thin out the same ones and have the same outages
         self.began = int(first.stamp[0]) + round(values['gnss.time_offset'] * 1e9)
-        self.used = thin(recording.gnss, interval, self.began)
+        self.used = fixes_apart(recording.gnss, interval, self.began)
         self.full = replace(recording, gnss=recording.gnss.select(self.used))
         seconds = max((recording.imu.stamp[-1] - recording.imu.stamp[0]) * 1e-9, 1.0)
         rate = float(np.clip(MANY_SAMPLES / seconds, SLOWEST_RATE, FASTEST_RATE))
@@ -138,7 +138,7 @@ class Problem:
         watched = run(given, self.drive.imu, self.drive.gnss, aiding_of(recording),
                       keep=np.zeros(len(self.drive.imu), dtype=bool))
         self.before = self.innovations(watched)
-        self.claimed = stated(self.drive.gnss, self.given)
+        self.claimed = stated_covariances(self.drive.gnss, self.given)
         self.outlying = _refused(watched, len(self.stamp))
         for other in others:  # a fix that one start explains is no outlier
             self.outlying &= _refused(run(
@@ -348,7 +348,7 @@ def averaged(imu: ImuSamples, rate: float) -> ImuSamples:
                    angular_rate=np.add.reduceat(imu.angular_rate, starts) / length[:, None])
 
 
-def stated(fixes: Fixes, values: dict) -> np.ndarray:
+def stated_covariances(fixes: Fixes, values: dict) -> np.ndarray:
     """Covariances (f, 3, 3) m^2, east-north-up, that a filter with `values` assigns to `fixes`."""
     config = FilterConfig.from_parameters(values)
     event, _, _ = config.inputs[Kind.POSITION].events(config.gnss, fixes)

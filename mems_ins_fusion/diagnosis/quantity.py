@@ -24,7 +24,7 @@ ANOTHER = 365.25 * 86_400.0
 
 
 @dataclass(frozen=True)
-class Quantity:
+class FindingState:
     """State of one finding. time: ns, stamp of the newest sample. sets: lines for a params file. better: by duration,
     mean error m without and with it, and the number of outages. Without lines the parameters are right as given, as far
     as is known, and `parameters` are possible remaining errors. text: in words. applied: whether the filter is to use
@@ -38,7 +38,7 @@ class Quantity:
     better: dict[float, tuple[float, float, int]] = field(default_factory=dict)
     text: str = ''
     applied: bool = False
-    kept: Kept | None = None
+    kept: EarlierFinding | None = None
     advice: str = ''
 
     @property
@@ -65,7 +65,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Kept:
+class EarlierFinding:
     """A finding proven in an earlier drive: the parameters of one effect, and those of the filter for it. found: ns,
     stamp of the sample at which it was proven; 0: unknown."""
 
@@ -83,7 +83,7 @@ class Kept:
                 for name, e in self.parameters.items()}
 
 
-class Findings(NamedTuple):
+class FilterFindings(NamedTuple):
     """Findings for the filters: parameters by name of each finding. applied: in the filter that is used. tried: each in
     a parallel filter, which takes over when the finding is proven."""
 
@@ -91,6 +91,6 @@ class Findings(NamedTuple):
     tried: dict[str, dict]
 
 
-def together(ones: Iterable) -> dict:
+def merged_settings(ones: Iterable) -> dict:
     """All parameters of these findings with their `sets`; if two set the same parameter, the later one counts."""
     return {name: value for one in ones for name, value in one.sets.items()}

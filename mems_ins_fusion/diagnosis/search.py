@@ -1,7 +1,7 @@
 """The search for effects that the model lacks: test all candidates on the innovations, add the best one, and keep it if
 predictions of held-out data become better (docs/closing_the_loop.md).
 
-Each step takes the state of the search (`Known`, which is never changed) and returns the state after it.
+Each step takes the state of the search (`SearchState`, which is never changed) and returns the state after it.
 """
 from __future__ import annotations
 
@@ -13,17 +13,27 @@ import numpy as np
 from ..effects.gnss_outliers import far_off
 from . import learned_mounting
 from .agreement import plainest_in_one
+from .candidate_proof import (
+    CLOSE,
+    COMPARED,
+    REFITTED,
+    TestedCandidate,
+    prune,
+    sizes_with_sigma,
+    tested_on_held_out,
+    too_small_effect,
+    with_candidate,
+)
 from .drives import Drives
+from .error_changes import compared, objection, objection_to_errors, overall_ratio
 from .estimate import Estimate
 from .exact import sigmas
 from .findings import Finding
-from .fit import Model, fit, scores
-from .folds import parts
+from .fit import FittedModel, fit, scores
+from .folds import part_masks
 from .held_out import CERTAIN, held_out
-from .judgement import compared, objection, objection_to_errors, overall_ratio
-from .judging import CLOSE, COMPARED, REFITTED, Judged, judge, prune, sizes_of, small, with_candidate
-from .known import Known
-from .measured import saved
+from .known import SearchState
+from .measured import errors_near_30_s
 from .noise import calibrated, noise_unknowns
 from .outliers import isolated
 from .plausible import implausible
@@ -61,7 +71,7 @@ SHARPER = 0.8
 VARIED = dict.fromkeys(('gnss_time_offset', 'gnss_lag'), ('gnss_latency', 'gnss_coloured_noise'))
 
 
-def begin(trials: TrialRuns) -> Known:
+def begin(trials: TrialRuns) -> SearchState:
     """The search before its first round: no effects, noise levels fitted, single fixes that are far off left out."""
     trials.searching('fitting noise levels')
     problem = trials.origin
@@ -70,7 +80,7 @@ def begin(trials: TrialRuns) -> Known:
     problem = problem.without(isolated(at, problem.mask) | _far_off(problem))
     noise = noise_unknowns(problem)
     model = fit(problem, noise, calibrated(problem, noise))
-    return _without_hidden(Known(problem, model, trials.errors([trials.origin.given]), trials.library))
+    return _without_hidden(SearchState(problem, model, trials.errors([trials.origin.given]), trials.library))
 
 
 def _far_off(problem: Drives) -> np.ndarray:
@@ -81,13 +91,14 @@ def _far_off(problem: Drives) -> np.ndarray:
     return found
 
 
-def _without_hidden(known: Known) -> Known:
+def _without_hidden(known: SearchState) -> SearchState:
     """`known` without the effects that do not show in any of the drives."""
     reasons = {}
     for e in known.effects:
         own = [e.hidden(known.problem.given, p.recording) for p in known.problem.each]
         reasons[e.name] = own[0] if all(own) else ''
-    reasons |= {name: why for name, why in learned_mounting.hides(known.problem.given).items() if name in reasons}
+    reasons |= {name: why for name, why in learned_mounting.estimated_by_filter(known.problem.given).items()
+                if name in reasons}
     fitted = {e.name for e in known.effects if e.traced}
     hidden = {name: why for name, why in reasons.items() if why and name in fitted}
     return replace(known, hidden=known.hidden | hidden,
@@ -96,7 +107,7 @@ def _without_hidden(known: Known) -> Known:
 
 # one round: score tests, fits, proof on held-out data
 
-def add_best(known: Known, trials: TrialRuns) -> Known:
+def add_best(known: SearchState, trials: TrialRuns) -> SearchState:
     """`known` with the best candidate that improves predictions of held-out data; score tests are made from several
     starts. `chosen` stays as it is if nothing is significant."""
     if not known.effects:
@@ -136,7 +147,7 @@ def add_best(known: Known, trials: TrialRuns) -> Known:
     return _with_best_of(known, [best[name] for name in names], candidates, trials)
 
 
-def _with_all(candidate: Candidate, known: Known) -> Candidate:
+def _with_all(candidate: Candidate, known: SearchState) -> Candidate:
     """A candidate that recordings show for certain without a filter, with all its parameters. An input that is far off
     is refused by the filter, so that innovations show nothing of it until it is nearly right."""
     if not candidate.undetermined:
@@ -146,7 +157,7 @@ def _with_all(candidate: Candidate, known: Known) -> Candidate:
                    undetermined=[])
 
 
-def with_other_mechanization(known: Known, trials: TrialRuns) -> Known:
+def with_other_mechanization(known: SearchState, trials: TrialRuns) -> SearchState:
     """`known` with the mechanization that an effect asks for (tilt: strapdown), if that certainly predicts better.
 
     Nothing is fitted to the data for it, so no score test is needed. On hills a filter without tilt may not pass it,
@@ -160,17 +171,18 @@ def with_other_mechanization(known: Known, trials: TrialRuns) -> Known:
             if not effect.replaces_model(candidate.values()):
                 continue
             trials.searching(f'trying {effect.name}')
-            judged = judge(known, candidate, with_candidate(known, candidate, known.model.x, trials), trials)
+            judged = tested_on_held_out(known, candidate, with_candidate(known, candidate, known.model.x, trials),
+                                        trials)
             if judged.against or judged.proof.p > CERTAIN:
                 continue
             candidate = replace(candidate, gain=2 * judged.proof.gain, p=judged.proof.p, p_adjusted=judged.proof.p)
             finding = Finding(effect.name, [effect.name], judged.parameters, candidate.gain, candidate.p, True,
-                              judged.proof, saves=saved(known.errors, judged.errors))
+                              judged.proof, saves=errors_near_30_s(known.errors, judged.errors))
             return _with_added(replace(known, rounds=(*known.rounds, [candidate])), judged, finding, [])
     return known
 
 
-def starts(known: Known) -> list[np.ndarray]:
+def starts(known: SearchState) -> list[np.ndarray]:
     """The unknowns at which score tests are made: with noise levels as fitted, as configured (the receiver's as its
     fixes scatter), and in the first round with those between the two.
 
@@ -186,7 +198,7 @@ def starts(known: Known) -> list[np.ndarray]:
     return found
 
 
-def _with_best_of(known: Known, significant, candidates: list[Candidate], trials: TrialRuns) -> Known:
+def _with_best_of(known: SearchState, significant, candidates: list[Candidate], trials: TrialRuns) -> SearchState:
     """`known` with the best of the significant candidates, if it improves predictions of held-out data.
 
     If several explain the same innovations, the one with the smaller position errors is taken: a reference may show
@@ -213,7 +225,7 @@ def _with_best_of(known: Known, significant, candidates: list[Candidate], trials
         same = [] if name in trials.certain else [
             n for n in group(chosen[alike[0]], candidates, known.problem.mask) if n not in alike]
         names = [*alike, *same]
-        judged = {n: judge(known, chosen[n], models[n], trials) for n in names if n in models}
+        judged = {n: tested_on_held_out(known, chosen[n], models[n], trials) for n in names if n in models}
         best = judged[names[0]]
         for n in names[1:]:
             if n in judged and not judged[n].against and (
@@ -224,7 +236,7 @@ def _with_best_of(known: Known, significant, candidates: list[Candidate], trials
         sizes = trials.told(name, best.parameters) if best.against else best.parameters
         finding = Finding(best.candidate.name, [best.candidate.name, *others], sizes, best.candidate.gain,
                           best.candidate.p_adjusted, not best.against, best.proof, best.against, drives=best.drives,
-                          apart=best.apart, saves=saved(known.errors, best.errors))
+                          drives_contradict=best.drives_contradict, saves=errors_near_30_s(known.errors, best.errors))
         if not best.against:
             return _with_added(known, best, finding, failed)
         failed.append(finding)
@@ -247,7 +259,7 @@ def _with_findings(findings, new: Sequence[Finding]) -> tuple[Finding, ...]:
     return (*(f for f in findings if f.name not in names), *new)
 
 
-def _with_added(known: Known, best: Judged, finding: Finding, failed: list[Finding]) -> Known:
+def _with_added(known: SearchState, best: TestedCandidate, finding: Finding, failed: list[Finding]) -> SearchState:
     """`known` with the effect that was judged. Effects that failed before are candidates again: they may help now."""
     effects = tuple(e for e in dict.fromkeys((*known.effects, *known.rejected)) if e.name != finding.name)
     return _without_hidden(replace(
@@ -258,7 +270,7 @@ def _with_added(known: Known, best: Judged, finding: Finding, failed: list[Findi
 
 # when all rounds are over
 
-def without_superseded(known: Known, trials: TrialRuns) -> Known:
+def without_superseded(known: SearchState, trials: TrialRuns) -> SearchState:
     """`known` without the effects that are no longer needed since another one was added, unless the recordings show
     them without a filter."""
     for finding in [f for f in known.findings if f.added and f.name not in trials.certain][:-1]:
@@ -279,7 +291,7 @@ def without_superseded(known: Known, trials: TrialRuns) -> Known:
     return known
 
 
-def without_undetermined(known: Known, trials: TrialRuns) -> Known:
+def without_undetermined(known: SearchState, trials: TrialRuns) -> SearchState:
     """`known` without the effects and parameters that are not determined any more since others were added, or that no
     vehicle can have: the limits are those for adding an effect."""
     model, reasons, impossible = known.model, {}, {}
@@ -288,11 +300,11 @@ def without_undetermined(known: Known, trials: TrialRuns) -> Known:
         own = [i for i, u in enumerate(model.unknowns) if u.effect == finding.name and not u.noise]
         if not (finding.added and own):
             continue
-        sizes = sizes_of(finding, model, sigma)
+        sizes = sizes_with_sigma(finding, model, sigma)
         why = implausible(finding.name, sizes, trials.shown)
         if why:
             impossible[finding.name] = sizes
-        elif finding.name not in trials.certain and (less := small(model, own, sigma)):
+        elif finding.name not in trials.certain and (less := too_small_effect(model, own, sigma)):
             why = f'{less} with the effects that were added later'
         if why:
             reasons[finding.name] = why
@@ -318,7 +330,7 @@ def without_undetermined(known: Known, trials: TrialRuns) -> Known:
     return replace(known, errors=trials.errors(known.by_part()))
 
 
-def with_offset_known_better(known: Known, trials: TrialRuns) -> Known:
+def with_offset_known_better(known: SearchState, trials: TrialRuns) -> SearchState:
     """`known` with another value of gnss.time_offset, where the params file states one, not zero, with its sigma and
     the recordings tell it with a plainly smaller one.
 
@@ -341,12 +353,12 @@ def with_offset_known_better(known: Known, trials: TrialRuns) -> Known:
         return known
     [parameter] = effect.traced
     finding = Finding(effect.name, [effect.name], {parameter.name: Estimate(float(model.x[-1]), sigma, parameter.unit)},
-                      2 * proof.gain, proof.p, True, proof, saves=saved(known.errors, errors))
+                      2 * proof.gain, proof.p, True, proof, saves=errors_near_30_s(known.errors, errors))
     return replace(known, model=model, errors=errors, estimates=tuple(proof.estimates),
                    findings=_with_findings(known.findings, [finding]),
                    effects=tuple(e for e in known.effects if e.name != effect.name))
 
 
-def _by_part(model: Model, noise: int) -> list[np.ndarray]:
+def _by_part(model: FittedModel, noise: int) -> list[np.ndarray]:
     """The unknowns of `model`, fitted with each of the parts held out in turn."""
-    return [model.refitted(model.problem.mask & ~part, noise)[0] for part in parts(model.problem)]
+    return [model.refitted(model.problem.mask & ~part, noise)[0] for part in part_masks(model.problem)]

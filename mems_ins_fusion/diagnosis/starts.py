@@ -26,7 +26,7 @@ TIME_OFFSET = 'gnss.time_offset'
 
 
 @dataclass(frozen=True)
-class Shown:
+class DirectEvidence:
     """What all recordings show without a filter. track: time offset, lever arm and smoothing of the receiver; None if
     the fixes do not show them. clocks: by the name of an input, its time offset minus the given one. low_passes: the
     same, s, for certain, that it comes through beside that of the given parameters: a part of that offset."""
@@ -53,7 +53,7 @@ class Shown:
         return tuple(found)
 
 
-def shown_without_filter(recordings: Sequence[Recording], values: dict) -> Shown:
+def shown_without_filter(recordings: Sequence[Recording], values: dict) -> DirectEvidence:
     """What the recordings show, relative to the checked parameters `values`."""
     found = [estimate_mounting(recording.imu, recording.gnss) for recording in recordings]
     each = [clocks_left(recording, recording.imu, mounting, values) for recording, mounting in zip(recordings, found)]
@@ -68,7 +68,8 @@ def shown_without_filter(recordings: Sequence[Recording], values: dict) -> Shown
             one = LowPass(*map(float, weighted(np.array([p.tau for p in passes]), np.array([p.sigma for p in passes]))))
             if (beside := one.left(values[f'{name}.lag'])) is not None:
                 low_passes[name] = beside
-    return Shown(together([m.offset for m in found if m is not None and m.offset is not None]), clocks, low_passes)
+    return DirectEvidence(together([m.offset for m in found if m is not None and m.offset is not None]), clocks,
+                          low_passes)
 
 
 def other_starts(offset: Offset | None, values: dict) -> list[dict]:

@@ -10,7 +10,7 @@ from ..filter.runs.betting import CLEAR, Bets
 from ..parameters.params_file import yaml_value
 from .advice import WORTH, Advice
 from .findings import Finding
-from .quantity import COARSE, FINE, SUSPECT, Kept, Quantity
+from .quantity import COARSE, FINE, SUSPECT, EarlierFinding, FindingState
 from .trial_outages import OUTAGES, Place
 
 #: wealth against an applied finding at which it is removed. A useful finding is removed at most once in this many
@@ -53,7 +53,7 @@ class Trial:
     proven: bool = False
     harmful: bool = False
     seen: bool = True
-    kept: Kept | None = None
+    kept: EarlierFinding | None = None
     advice: Advice | None = None
     errors: dict[float, list[tuple[float, float]]] = field(default_factory=lambda: {d: [] for d in OUTAGES})
     bets: dict[tuple[float, float], Bets] = field(default_factory=lambda: {
@@ -121,7 +121,7 @@ class Trial:
     def apply(self, now: int) -> None:
         """Become part of the parameters that are used. Earlier evidence against the finding is discarded. now: ns."""
         self.applied = True
-        self.kept = Kept(self.finding.name, self.finding.parameters, self.sets, now)
+        self.kept = EarlierFinding(self.finding.name, self.finding.parameters, self.sets, now)
         for bets in self.bets.values():
             bets.con = 0.0
 
@@ -161,16 +161,16 @@ class Trial:
         before its outage."""
         self.finding, self.sets = replace(finding, since=self.finding.since), finding.changes
 
-    def quantity(self, now: int, name: str) -> Quantity:
+    def quantity(self, now: int, name: str) -> FindingState:
         """The state in words, as `name`. now: ns, stamp of the newest sample."""
         better = {d: (*np.mean(pairs, axis=0).tolist(), len(pairs)) for d, pairs in self.errors.items() if pairs}
         lines = tuple(f'{parameter}: {yaml_value(_told(value))}' for parameter, value in self.sets.items())
         said = ', '.join(f'{parameter} {e.text()}' for parameter, e in self.finding.parameters.items())
         gain = ''.join(f'; {d:g} s without fixes {a:.2f} m without it and {b:.2f} m with it, {n} times'
                        for d, (a, b, n) in better.items())
-        return Quantity(now, name, self.state, self.finding.parameters, lines, better,
-                        f"{said}{gain}{self._why()}; {'applied' if self.applied else 'to set'}: {'; '.join(lines)}",
-                        self.applied, self.kept, self.advice.text() if self.advice and not self.proven else '')
+        return FindingState(now, name, self.state, self.finding.parameters, lines, better,
+                            f"{said}{gain}{self._why()}; {'applied' if self.applied else 'to set'}: {'; '.join(lines)}",
+                            self.applied, self.kept, self.advice.text() if self.advice and not self.proven else '')
 
     def _why(self) -> str:
         """Why it is SUSPECT or cannot be proven, for the sentence."""

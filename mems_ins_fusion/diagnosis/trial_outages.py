@@ -80,7 +80,7 @@ def _misfit(errors: Errors, begin: int) -> Place:
     return (float(errors.north[late].mean()), float(errors.east[late].mean())) if late.any() else (np.nan, np.nan)
 
 
-def pairs(present: dict, other: dict) -> dict[float, list[tuple[Place, Place]]]:
+def paired_errors(present: dict, other: dict) -> dict[float, list[tuple[Place, Place]]]:
     """By duration, the errors of the same outages of two filters in which the vehicle was driven."""
     found = {}
     for duration in OUTAGES:

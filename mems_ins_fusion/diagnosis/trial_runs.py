@@ -18,11 +18,11 @@ from ..recordings.motion import compare_steering
 from ..samples import Recording
 from .drives import Drives
 from .estimate import Estimate
-from .folds import parts
-from .measured import Measured, measure, together
+from .folds import part_masks
+from .measured import MeasuredErrors, all_drives_together, measure_errors
 from .outliers import without_far_off
 from .problem import Problem, exact_inputs, on_all_cores
-from .starts import Shown
+from .starts import DirectEvidence
 
 #: number of IMU samples filtered for one recording, after which a search begins no further round: less than a minute on
 #: two cores. Counted in samples, not by the clock, so that each machine gives the same result
@@ -61,12 +61,12 @@ class TrialRuns:
     spacing: float
     tell: Progress
     starts: dict[str, list[dict[str, float]]] = field(default_factory=dict)
-    beside: Shown = Shown()
+    beside: DirectEvidence = DirectEvidence()
     working: Callable[[], None] = lambda: None
-    measured: dict[str, Measured] = field(default_factory=dict)  # by the filters asked for
+    measured: dict[str, MeasuredErrors] = field(default_factory=dict)  # by the filters asked for
 
     @cached_property
-    def judging(self) -> tuple[Recording, ...]:
+    def without_outliers(self) -> tuple[Recording, ...]:
         """The recordings that errors are measured against. Fixes that are far off are left out: they are no truth."""
         return tuple(replace(r, gnss=without_far_off(r.gnss)) for r in self.recordings)
 
@@ -119,7 +119,7 @@ class TrialRuns:
         """Scale factor error of the vertical gyroscope: by which part it turns further than the course of the fixes.
         None if a scale is configured, or without a turn that shows it."""
         up = -mounting(self.origin.given['imu.mounting_rpy'])[2]
-        seen = [usable(recording) for recording in self.judging]
+        seen = [usable(recording) for recording in self.without_outliers]
         found = [compare_steering(recording.imu, recording.gnss, up) for recording in seen if len(recording.gnss) > 1]
         found = [steering for steering in found if steering is not None and steering.tells and steering.scale > 0.0]
         if not found or any(self.origin.given['gyroscope.scale']):
@@ -160,7 +160,7 @@ class TrialRuns:
         tell()
         self.origin.watched(tell)
 
-    def errors(self, models: Sequence[dict], full: bool = False) -> Measured:
+    def errors(self, models: Sequence[dict], full: bool = False) -> MeasuredErrors:
         """Errors of one filter (one model), or of several, each in the part of the data that it was not fitted to.
 
         full: with all that a driving filter adapts, in the outages of the report. Else for decisions on effects:
@@ -172,7 +172,7 @@ class TrialRuns:
         decides = {} if full else {'gnss.adapt_covariance': False, 'imu.adapt_noise': False, **self.without_standstills}
         return self._kept([{**values, **decides} for values in models], REPORTED if full else FOR_EFFECTS)
 
-    def each(self, configurations: Sequence[dict]) -> list[Measured]:
+    def each(self, configurations: Sequence[dict]) -> list[MeasuredErrors]:
         """Errors of each of several filters, for the choice of noise levels: with all that a driving filter adapts, as
         a filter that does not adapt needs other levels."""
         found = on_all_cores(lambda values: self._kept([values], FOR_LEVELS), configurations)
@@ -180,24 +180,24 @@ class TrialRuns:
         self.tell(CHOOSING + (MEASURING - CHOOSING) * count / (count + USUAL_CHOICES), 'choosing noise levels')
         return found
 
-    def _kept(self, models: list[dict], use: str) -> Measured:
+    def _kept(self, models: list[dict], use: str) -> MeasuredErrors:
         models = [{**values, **exact_inputs(values)} for values in models]
         asked = repr((use, [sorted(values.items()) for values in models]))
         if asked not in self.measured:
             self.measured[asked] = self._measured(models, use)
         return self.measured[asked]
 
-    def _measured(self, models: list[dict], use: str) -> Measured:
-        judged = parts(self.origin) if len(models) > 1 else [self.origin.mask]
+    def _measured(self, models: list[dict], use: str) -> MeasuredErrors:
+        judged = part_masks(self.origin) if len(models) > 1 else [self.origin.mask]
         found = {}
-        for recording, judging, problem, where in zip(self.recordings, self.judging, self.origin.each,
-                                                      self.origin.slices):
+        for recording, truth, problem, where in zip(self.recordings, self.without_outliers, self.origin.each,
+                                                    self.origin.slices):
             mine = [(values, mask[where]) for values, mask in zip(models, judged) if mask[where].any()]
-            found[recording.name] = measure(
-                problem, judging, (problem.drive if use == FOR_EFFECTS else problem.full).imu,
-                [values for values, _ in mine], fitting(self.durations, problem), self._between(problem, use),
+            found[recording.name] = measure_errors(
+                problem, truth, (problem.drive if use == FOR_EFFECTS else problem.full).imu,
+                [values for values, _ in mine], short_enough(self.durations, problem), self._between(problem, use),
                 [mask for _, mask in mine], self.working, use == REPORTED)
-        return together(found)
+        return all_drives_together(found)
 
     def _between(self, problem: Problem, use: str) -> float:
         """s between the beginnings of outages. For noise levels there are as many outages as in the report: a longer
@@ -206,6 +206,6 @@ class TrialRuns:
         return {FOR_EFFECTS: few, FOR_LEVELS: min(few, max(CLOSEST_OUTAGES, self.spacing)), REPORTED: self.spacing}[use]
 
 
-def fitting(durations: Sequence[float], problem: Problem) -> tuple[float, ...]:
+def short_enough(durations: Sequence[float], problem: Problem) -> tuple[float, ...]:
     """The `durations` of outages, s, that are short enough for the drive."""
     return tuple(d for d in durations if d < 0.3 * (problem.stamp[-1] - problem.stamp[0]) * 1e-9)

@@ -27,7 +27,7 @@ POSITION_STEP = 0.05  # m, of fixes
 
 
 @dataclass(frozen=True)
-class GoesWith:
+class Correlation:
     """An error of the measurement `where` in proportion to the quantity `what`. rms: with the sign of the proportion.
     sigma: of rms. gain, p: of the score test."""
 
@@ -40,7 +40,7 @@ class GoesWith:
     p: float
 
 
-def goes_with(problem: Problem, nuisance: Scores, at: Residual) -> list[GoesWith]:
+def correlations(problem: Problem, nuisance: Scores, at: Residual) -> list[Correlation]:
     """Significant errors in the innovations `at`, the largest gain first. problem: at the model of these innovations.
     nuisance: scores of the unknowns of that model."""
     tests = _tests(problem, *regressors(problem))
@@ -55,7 +55,7 @@ def goes_with(problem: Problem, nuisance: Scores, at: Residual) -> list[GoesWith
             continue
         theta = total / information[0, 0]
         gain, p = significance(problem, own, theta, total)
-        results.append(GoesWith(where, what, float(theta[0]), float(information[0, 0] ** -0.5), unit, gain, p))
+        results.append(Correlation(where, what, float(theta[0]), float(information[0, 0] ** -0.5), unit, gain, p))
     adjusted = holm([r.p for r in results])
     return sorted((replace(r, p=float(p)) for r, p in zip(results, adjusted) if p <= FAMILY_ERROR_RATE),
                   key=lambda r: -r.gain)

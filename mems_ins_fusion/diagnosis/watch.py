@@ -7,11 +7,11 @@ from ..filter.measurements.registry import aiding
 from ..filter.runs.changing import Dropped
 from ..samples import Recording
 from .gathering import chunks
-from .online import Find, Online, found
-from .quantity import Findings, Kept, Quantity
+from .online import Find, Online, findings_in_recording
+from .quantity import EarlierFinding, FilterFindings, FindingState
 
 
-class Watch:
+class RecordingWatch:
     """A recording given to `Online` chunk by chunk. said: each finding at the time at which it changed.
 
     progress: called from time to time with the part that is done; an exception ends everything. find, look, kept: as
@@ -19,15 +19,15 @@ class Watch:
     """
 
     def __init__(self, recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None,
-                 find: Find | None = None, look: Find | None = None, kept: Sequence[Kept] = ()):
-        self.said: list[Quantity] = []
+                 find: Find | None = None, look: Find | None = None, kept: Sequence[EarlierFinding] = ()):
+        self.said: list[FindingState] = []
         self._progress, self._done, self._told = progress, 0.0, {}
-        self._work = Online(values, find or (lambda part, given: found(part, given, lambda _, what: progress(
-            self._done))), look, kept)
+        self._work = Online(values, find or (lambda part, given: findings_in_recording(
+            part, given, lambda _, what: progress(self._done))), look, kept)
         self._chunks, self._span = chunks(recording, aiding(values)), recording.imu.stamp[[0, -1]].tolist()
 
     @property
-    def wanted(self) -> Findings:
+    def wanted(self) -> FilterFindings:
         """The findings for the filters."""
         return self._work.wanted
 
@@ -36,7 +36,7 @@ class Watch:
         """Number of findings that have been on trial."""
         return self._work.begun
 
-    def take(self, dropped: Sequence[Dropped] = ()) -> Findings | None:
+    def take(self, dropped: Sequence[Dropped] = ()) -> FilterFindings | None:
         """The findings for the filters after the next chunk, in which it has `dropped` findings; None after the last
         one."""
         self._progress(self._done)
@@ -52,10 +52,10 @@ class Watch:
         return self.wanted
 
 
-def watched(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None
-            ) -> list[Quantity]:
+def live_messages(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None
+                  ) -> list[FindingState]:
     """The messages of a live node for `recording` that does not apply findings."""
-    watch = Watch(recording, values, progress)
+    watch = RecordingWatch(recording, values, progress)
     while watch.take() is not None:
         pass
     return watch.said

@@ -18,7 +18,7 @@ def jumps(before: Recording, after: Recording) -> bool:
     return not 0 < int(after.imu.stamp[0]) - int(before.imu.stamp[-1]) <= JUMP
 
 
-def joined(before: Recording | None, after: Recording) -> Recording:
+def joined_recordings(before: Recording | None, after: Recording) -> Recording:
     """Two recordings in a row as one."""
     if before is None:
         return after
@@ -33,12 +33,12 @@ def joined(before: Recording | None, after: Recording) -> Recording:
     return before.having(streams)
 
 
-def cut(recording: Recording, seconds: float) -> Recording:
+def last_seconds(recording: Recording, seconds: float) -> Recording:
     """The last `seconds` of a recording."""
-    return behind(recording, int(recording.imu.stamp[-1]) - round(seconds * 1e9) + 1)
+    return from_stamp(recording, int(recording.imu.stamp[-1]) - round(seconds * 1e9) + 1)
 
 
-def behind(recording: Recording, stamp: int) -> Recording:
+def from_stamp(recording: Recording, stamp: int) -> Recording:
     """A recording from `stamp` on, ns."""
     return recording.having({name: samples.select(samples.stamp >= stamp)
                              for name, samples in recording.streams().items()})

@@ -65,12 +65,12 @@ def _seconds_of(process: int) -> float:
         return 0.0
 
 
-def work(source, sink) -> None:
+def process_chunks(source, sink) -> None:
     """Process chunks and requests from `source` and write findings to `sink`, files, until `source` ends. An analysis
     continues between chunks; only a chunk whose answer needs its result waits for it."""
     os.nice(NICE)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    from .online import Abandoned, Online, found
+    from .online import Abandoned, Online, findings_in_recording
 
     asked: queue.Queue = queue.Queue(maxsize=1)  # further input stays in the pipe
 
@@ -103,7 +103,7 @@ def work(source, sink) -> None:
             raise Abandoned
 
     values, kept = pickle.load(source)
-    online = Online(values, lambda part, given: found(part, given, between), kept=kept)
+    online = Online(values, lambda part, given: findings_in_recording(part, given, between), kept=kept)
     if kept:
         tell(is_chunk=False)
     threading.Thread(target=_read, args=(source, asked), daemon=True).start()
@@ -130,7 +130,7 @@ def main(arguments: list[str]) -> int:
     sink = os.fdopen(os.dup(1), 'wb')
     os.dup2(2, 1)  # output of print must not mix with the pickles
     try:
-        work(sys.stdin.buffer, sink)
+        process_chunks(sys.stdin.buffer, sink)
     except BrokenPipeError:
         pass
     return 0

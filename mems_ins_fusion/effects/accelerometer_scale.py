@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter, with_added
 from mems_ins_fusion.navigation.frames import mounting
 
 
@@ -28,5 +28,5 @@ class AccelerometerScale(Effect):
     def adjusted(self, values, theta):
         along = np.abs(mounting(values['imu.mounting_rpy'])).argmax(axis=1)
         for body_axis, axis in enumerate('xy'):
-            values = added(values, 'accelerometer.scale', int(along[body_axis]), change=theta[axis])
+            values = with_added(values, 'accelerometer.scale', int(along[body_axis]), change=theta[axis])
         return values

@@ -3,8 +3,8 @@ from __future__ import annotations
 
 import math
 
-from mems_ins_fusion.effects.aiding_time_offset import missing
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.aiding_time_offset import why_missing
+from mems_ins_fusion.effects.base import Effect, EffectParameter, with_added
 
 #: by which the stamps are later than what is measured, in all
 DELAY = EffectParameter('delay', 's', 0.1)
@@ -43,10 +43,10 @@ class AidingLag(Effect):
     def hidden(self, values, recording):
         if not self.known:
             return f'the filter has no model of it: it is found as {self.of}_time_offset'
-        return missing(self.of, values, recording)
+        return why_missing(self.of, values, recording)
 
     def adjusted(self, values, theta):
-        values = added(values, f'{self.of}.time_offset', change=theta.get('delay', 0.0))
+        values = with_added(values, f'{self.of}.time_offset', change=theta.get('delay', 0.0))
         lag = f'{self.of}.lag'
         return {**values, lag: math.hypot(values[lag], theta['tau'])} if self.known else values
 

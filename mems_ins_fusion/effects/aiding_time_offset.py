@@ -4,7 +4,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter, with_added
 
 #: what the time offset leaves of a low pass of an input that has no `NAME.lag`
 _NOT_MODELLED = 'a low pass of the {}, of which the filter corrects the time offset only'
@@ -30,16 +30,16 @@ class AidingTimeOffset(Effect):
         return time - values['time_offset'] if name == self.of else time
 
     def hidden(self, values, recording):
-        return missing(self.of, values, recording)
+        return why_missing(self.of, values, recording)
 
     def adjusted(self, values, theta):
-        return added(values, f'{self.of}.time_offset', change=theta['time_offset'])
+        return with_added(values, f'{self.of}.time_offset', change=theta['time_offset'])
 
     def leaves(self, values):
         return '' if f'{self.of}.lag' in values else _NOT_MODELLED.format(self._called)
 
 
-def missing(name: str, values: Mapping, recording) -> str:
+def why_missing(name: str, values: Mapping, recording) -> str:
     """Why `recording` has nothing of the input `name`; empty where it has."""
     there = name in recording.streams() and (values.get(f'{name}_topic') or values.get(f'{name}.topic'))
     return '' if there else f'no {name} in the recording ({name}_topic)'
@@ -48,7 +48,7 @@ def missing(name: str, values: Mapping, recording) -> str:
 def hidden_by_state(of: str, deviation: str, least: float, values: Mapping, recording) -> str:
     """Why the innovations have nothing of an effect of the input `of`; empty where they may have. The filter estimates
     it where `deviation`, the parameter of what is left of it, is more than `least`: less is no matter."""
-    return missing(of, values, recording) or (
+    return why_missing(of, values, recording) or (
         f'the filter estimates it ({deviation})' if values[deviation] > least else '')
 
 
@@ -73,7 +73,7 @@ class SeveralTimeOffsets(Effect):
 
     def adjusted(self, values, theta):
         for name, size in self.known.items():
-            values = added(values, f'{name}.time_offset', change=theta['share'] * size)
+            values = with_added(values, f'{name}.time_offset', change=theta['share'] * size)
         for name, tau in self.low_passes.items():
             values = {**values, f'{name}.lag': math.hypot(values[f'{name}.lag'], theta['share'] * tau)}
         return values

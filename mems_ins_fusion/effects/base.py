@@ -154,7 +154,7 @@ class Effect:
         `traced` is added to the parameter in its `adds_to`."""
         for parameter in self.traced:
             if parameter.adds_to is not None:
-                values = added(values, *parameter.adds_to, change=theta[parameter.name])
+                values = with_added(values, *parameter.adds_to, change=theta[parameter.name])
         return values
 
     def replaces_model(self, theta: dict) -> bool:
@@ -206,7 +206,7 @@ class Effect:
         return None
 
 
-def added(values: dict, name: str, index: int | None = None, *, change: float) -> dict:
+def with_added(values: dict, name: str, index: int | None = None, *, change: float) -> dict:
     """`values` with `change` added to one parameter, or to element `index` of one that has a value for each axis."""
     value = values[name]
     if index is None:

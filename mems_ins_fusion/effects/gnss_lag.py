@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter, with_added
 from mems_ins_fusion.parameters.parameter import Parameter
 
 
@@ -46,5 +46,5 @@ class GnssLag(Effect):
         return position + np.column_stack([np.interp(time, drive.time, axis) for axis in behind.T])
 
     def adjusted(self, values, theta):
-        values = added(values, 'gnss.time_offset', change=theta.get('delay', 0.0))
-        return added(values, 'gnss.lag_per_acceleration', change=theta['lag'])
+        values = with_added(values, 'gnss.time_offset', change=theta.get('delay', 0.0))
+        return with_added(values, 'gnss.lag_per_acceleration', change=theta['lag'])

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter, with_added
 from mems_ins_fusion.navigation.frames import mounting
 
 
@@ -24,4 +24,4 @@ class GyroscopeScale(Effect):
 
     def adjusted(self, values, theta):
         along = np.abs(mounting(values['imu.mounting_rpy'])).argmax(axis=1)
-        return added(values, 'gyroscope.scale', int(along[2]), change=theta['z'])
+        return with_added(values, 'gyroscope.scale', int(along[2]), change=theta['z'])

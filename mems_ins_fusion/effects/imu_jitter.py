@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
-from mems_ins_fusion.effects.imu_repeats import noisier
+from mems_ins_fusion.effects.imu_repeats import wider_noise
 
 #: in sampling intervals: smallest standard deviation of the intervals that is reported
 SMALLEST = 0.1
@@ -50,4 +50,4 @@ class ImuJitter(Effect):
                         f'the intervals between IMU samples, {1e3 * interval:.3g} ms, scatter by '
                         f'{1e3 * scatter:.2g} ms: they are stamped on arrival. Let the driver stamp with the clock '
                         'of the sensor; until then all other sensors seem early by about as much',
-                        noisier(values, recording.imu, (sigma / interval)**2))
+                        wider_noise(values, recording.imu, (sigma / interval)**2))

@@ -37,10 +37,10 @@ class ImuRepeats(Effect):
         return Sighting({'share': (share, float(np.sqrt(share * (1 - share) / len(same))))},
                         f'{100 * share:.2g} % of the IMU samples repeat the one before to the last digit: about '
                         f'{(1 - share) * len(same) / seconds:.3g} a second are new. Set the driver to the rate at '
-                        'which the sensor measures', noisier(values, imu, share))
+                        'which the sensor measures', wider_noise(values, imu, share))
 
 
-def noisier(values: dict, imu, share: float) -> dict:
+def wider_noise(values: dict, imu, share: float) -> dict:
     """Noise densities with the white noise added that repeated samples cause. share: share of samples repeated.
 
     A repeated sample misses the change of one interval T. This is white noise with a density squared of share times T

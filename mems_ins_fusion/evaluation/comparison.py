@@ -124,7 +124,7 @@ class Comparison:
         return sorted({r.outages.duration for r in self.outages})
 
 
-def cut(recording: Recording, start: float, stop: float) -> Recording:
+def time_span(recording: Recording, start: float, stop: float) -> Recording:
     """The part of `recording` from `start` to `stop` s after its first IMU sample; stop 0: to its end."""
     if not start and not stop:
         return recording
@@ -164,7 +164,7 @@ def aiding_of(recording: Recording) -> Aiding:
                    if name not in ('imu', 'gnss', 'reference', 'temperature')})
 
 
-def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
+def fixes_apart(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
     """Which of `fixes` to use, (n,) bool, so that from `start` (ns) on they are `interval` s apart; 0 uses all.
 
     All fixes until `start` are used: the filter needs them to start, and the start is not compared. After it, the first
@@ -282,7 +282,7 @@ class _Work:
 
     def _start(self) -> int:
         """Time of the start of the filter with all fixes, ns, in the clock of the fixes."""
-        every = self.fixes.select(thin(self.fixes, 0.0))
+        every = self.fixes.select(fixes_apart(self.fixes, 0.0))
         run = replay(self.protocol.first, self.recording.imu, every, self.aiding, keep=self.keep)
         if not len(run.stamp):
             reason = next((n.text for n in reversed(run.notices) if n.level == 'error'), 'no usable fix')
@@ -290,7 +290,7 @@ class _Work:
         return int(run.stamp[0]) + self.protocol.offset
 
     def _use(self, interval: float) -> np.ndarray:
-        return thin(self.fixes, interval, self.start)
+        return fixes_apart(self.fixes, interval, self.start)
 
     def given(self, interval: float) -> np.ndarray:
         """Stamps of the fixes given to the runs of `interval`, ns of the IMU's clock."""

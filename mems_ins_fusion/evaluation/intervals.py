@@ -60,7 +60,7 @@ def correlation_length(values: np.ndarray) -> float:
     return float(1 + 2 * rho[1:negative[0] if len(negative) else n].sum())
 
 
-def of_mean(values: np.ndarray, apart: float = np.inf) -> Difference | None:
+def mean_with_error(values: np.ndarray, apart: float = np.inf) -> Difference | None:
     """The mean of `values` (n,), a stationary series, with its standard error; None where it is too short, or contains
     a value that is not finite. apart: largest number of values that share no time."""
     values = np.asarray(values, dtype=float)
@@ -75,13 +75,13 @@ def of_mean(values: np.ndarray, apart: float = np.inf) -> Difference | None:
 
 def interval_of_mean(values: np.ndarray, level: float = LEVEL) -> tuple[float, float]:
     """Confidence interval of the mean of `values` (n,), a stationary series; NaN where it is too short."""
-    found = of_mean(values)
+    found = mean_with_error(values)
     return (float('nan'), float('nan')) if found is None else found.interval(level)
 
 
 def paired(first: np.ndarray, second: np.ndarray, apart: float = np.inf) -> Difference | None:
     """Difference of the means of two series (n,) at the same epochs, first minus second; None if they are too short."""
-    return of_mean(np.asarray(first, dtype=float) - np.asarray(second, dtype=float), apart)
+    return mean_with_error(np.asarray(first, dtype=float) - np.asarray(second, dtype=float), apart)
 
 
 def interval_of_share(count: float, of: float, level: float = LEVEL) -> tuple[float, float]:

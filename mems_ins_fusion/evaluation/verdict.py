@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..configuration.remaining import ANGLES, TIME_OFFSET, Remaining
-from .intervals import LEVEL, Difference, interval_of_share, of_mean, p_of_so_few, paired
+from .intervals import LEVEL, Difference, interval_of_share, mean_with_error, p_of_so_few, paired
 from .metrics import rms
 
 BETTER, SAME, WORSE, CANNOT_TELL, NOT_USABLE = 'better', 'same', 'worse', 'cannot_tell', 'not_usable'
@@ -190,7 +190,7 @@ class Consistency:
 
 
 @dataclass(frozen=True)
-class Held:
+class EllipseCount:
     """Outages of `duration` s at whose end the 95 % ellipse contained the truth: held of count. low, high: 95 %
     interval of the share. p: probability of so few with right sigmas."""
 
@@ -203,7 +203,7 @@ class Held:
 
 
 @dataclass(frozen=True)
-class Scale:
+class ErrorOverSigma:
     """Ratio of the errors to the sigmas over time. duration: s without fixes; None: with fixes. low, high: 95 %
     interval of the ratio; least: its lower bound, adjusted for the number of tests."""
 
@@ -219,11 +219,11 @@ class Trust:
     """Whether sigmas can be trusted. answer: YES, NO, TOO_CAREFUL, or CANNOT_TELL."""
 
     answer: str
-    held: tuple[Held, ...] = ()
-    scales: tuple[Scale, ...] = ()
+    held: tuple[EllipseCount, ...] = ()
+    scales: tuple[ErrorOverSigma, ...] = ()
 
     @property
-    def scale(self) -> Scale | None:
+    def scale(self) -> ErrorOverSigma | None:
         """The scale that is the strongest evidence against the sigmas; if they are too small, None unless the scale
         proves it."""
         if self.answer == NO:
@@ -233,14 +233,14 @@ class Trust:
         return max(self.scales, key=lambda s: s.low, default=None)
 
     @property
-    def shown(self) -> Held | None:
+    def shown(self) -> EllipseCount | None:
         """The outages for a headline: if the sigmas are too small, those that show it best, else those with most data.
         """
         return min(self.held, key=lambda h: h.p) if self.answer == NO and self.held else \
             max(self.held, key=lambda h: (h.low, h.duration), default=None)
 
 
-def trusted(said: Sequence[Consistency]) -> Trust:
+def trust_in_sigmas(said: Sequence[Consistency]) -> Trust:
     """Whether sigmas can be trusted, from counts with binomial intervals and from normalized errors over time.
 
     NO if a count, or the errors over time, contradict the sigmas significantly, adjusted for the number of tests. YES
@@ -253,21 +253,22 @@ def trusted(said: Sequence[Consistency]) -> Trust:
         if one.within is not None:
             apart = min(one.apart, len(one.within))
             inside = float(one.within.mean()) * apart
-            held.append(Held(one.duration, int(one.within.sum()), len(one.within), *interval_of_share(inside, apart),
-                             p_of_so_few(inside, apart, NOMINAL)))
-        mean = of_mean(one.nees, one.apart)
+            held.append(EllipseCount(one.duration, int(one.within.sum()), len(one.within),
+                                     *interval_of_share(inside, apart),
+                                     p_of_so_few(inside, apart, NOMINAL)))
+        mean = mean_with_error(one.nees, one.apart)
         if mean is not None:
             ends = (mean.mean, *mean.interval(), mean.interval(1 - (1 - LEVEL) / tests)[0])
-            scales.append(Scale(one.duration, *(float(np.sqrt(max(value, 0.0) / RIGHT)) for value in ends)))
+            scales.append(ErrorOverSigma(one.duration, *(float(np.sqrt(max(value, 0.0) / RIGHT)) for value in ends)))
     return Trust(_whether(held, scales, (1 - LEVEL) / tests), tuple(held), tuple(scales))
 
 
-def _without_fixes(scales: Sequence[Scale]) -> Sequence[Scale]:
+def _without_fixes(scales: Sequence[ErrorOverSigma]) -> Sequence[ErrorOverSigma]:
     """The scales without fixes, if there are any: with fixes, the noise of the truth hides the filter's own sigmas."""
     return [s for s in scales if s.duration is not None] or scales
 
 
-def _whether(held: Sequence[Held], scales: Sequence[Scale], chance: float) -> str:
+def _whether(held: Sequence[EllipseCount], scales: Sequence[ErrorOverSigma], chance: float) -> str:
     if any(h.p < chance for h in held) or any(s.least > TOO_LARGE for s in scales):
         return NO
     if scales and all(s.high < TOO_SMALL for s in _without_fixes(scales)):

@@ -16,7 +16,7 @@ import numpy as np
 from .. import __version__
 from ..errors import InputError
 from ..evaluation import metrics
-from ..evaluation.comparison import aiding_of, samples_to_keep, thin, truth_of
+from ..evaluation.comparison import aiding_of, fixes_apart, samples_to_keep, truth_of
 from ..evaluation.metrics import NEES_95, Truth, position_errors
 from ..evaluation.outages import SETTLING, Distance, outage_begins
 from ..filter.config import FilterConfig
@@ -29,7 +29,7 @@ from ..parameters import table
 from ..recordings.writing import write_recording
 from ..reports.html import number
 from ..samples import Recording, Reference
-from .tracks import Track, gps_week, read_track
+from .tracks import FilterTrack, gps_week, read_track
 from .variants import VARIANTS, interleaved, withheld
 
 #: file that `prepare` writes beside the recordings
@@ -81,7 +81,7 @@ def prepare(recording: Recording, values: dict, folder: Path, kf_gins: bool = Fa
     durations = values['outage_durations']
     if not durations:
         raise BenchError("parameter 'outage_durations' is empty")
-    good = recording.gnss.select(thin(recording.gnss, 0.0))
+    good = recording.gnss.select(fixes_apart(recording.gnss, 0.0))
     begins = outage_begins(int(start.stamp[0]), good, values['gnss.time_offset'], values['outage_spacing'],
                            min(durations))
     stamps = np.unique(good.stamp) - round(values['gnss.time_offset'] * 1e9)
@@ -138,7 +138,7 @@ def _write_kf_gins(recording: Recording, folder: Path, values: dict, start, othe
     configuration: the state of the filter `start` of this package, and the noise of the parameters; not for
     `other_world`, in which the state is another one. Source: src/fileio and config/kf-gins.yaml of KF-GINS."""
     folder.mkdir()
-    imu, gnss = recording.imu, recording.gnss.select(thin(recording.gnss, 0.0))
+    imu, gnss = recording.imu, recording.gnss.select(fixes_apart(recording.gnss, 0.0))
     rotation = mounting(values['imu.mounting_rpy'])  # to forward-right-down
     step = np.diff(imu.stamp, prepend=imu.stamp[0] - np.median(np.diff(imu.stamp)).astype(np.int64)) * 1e-9
     increments = np.hstack([imu.angular_rate @ rotation.T, imu.specific_force @ rotation.T]) * step[:, None]
@@ -198,7 +198,7 @@ def read_prepared(folder) -> Prepared:
             from None
 
 
-def tracks_in(folder, prepared: Prepared, datum=None, topic: str = '') -> dict[str, Track]:
+def tracks_in(folder, prepared: Prepared, datum=None, topic: str = '') -> dict[str, FilterTrack]:
     """The trajectories of a filter in `folder`, by the recording that they belong to: NAME/ (a bag), or NAME with any
     extension.
 
@@ -230,7 +230,7 @@ def own_tracks(prepared: Prepared, given: dict, progress: Callable[[float], None
             values = VARIANTS[name].parameters(values)
         recording, _ = read_part(prepared.folder / name, values, lambda part: None)
         keep = samples_to_keep(recording.imu, prepared.truth.reference.stamp)
-        use = thin(recording.gnss, 0.0)
+        use = fixes_apart(recording.gnss, 0.0)
         found[name] = replay(FilterConfig.from_parameters(values), recording.imu, recording.gnss.select(use),
                              aiding_of(recording), keep=keep)
         if not len(found[name].stamp):
@@ -264,7 +264,7 @@ def score(name: str, prepared: Prepared, tracks: dict) -> Score:
     durations = sorted({duration for duration, _ in prepared.recordings.values() if duration})
     outages = [_outages(duration, prepared, tracks) for duration in durations]
     return Score(name, run, [row for row in outages if row['count']], {
-        variant: follows(variant, prepared, full, tracks[variant]) for variant in prepared.variants
+        variant: distance_to_unchanged(variant, prepared, full, tracks[variant]) for variant in prepared.variants
         if full is not None and variant in tracks})
 
 
@@ -295,7 +295,7 @@ def _outages(duration: float, prepared: Prepared, tracks: dict) -> dict:
                   None, 'within_95_percent': float(100 * np.mean(within)) if known else None}
 
 
-def follows(variant: str, prepared: Prepared, full, changed) -> tuple[float, float]:
+def distance_to_unchanged(variant: str, prepared: Prepared, full, changed) -> tuple[float, float]:
     """Distance between the trajectory of a changed recording, transformed back, and that of the unchanged one: RMS and
     largest horizontal distance, m."""
     change = VARIANTS[variant]

@@ -33,7 +33,7 @@ EFFICIENCY = 0.3
 
 
 @dataclass(frozen=True)
-class Quantity:
+class TrackedQuantity:
     """A quantity whose changes are looked for. unit: as shown to people; values in it are `scale` times those in SI.
     ratio: whether changes are factors. angle: whether it is periodic with 2 pi."""
 
@@ -48,18 +48,18 @@ class Quantity:
 
 #: the quantities whose changes are looked for, by effect and parameter as in the rows of `effects`
 QUANTITIES = {(q.effect, q.parameter): q for q in (
-    Quantity('gnss_time_offset', 'time_offset', 'time offset of the receiver', 's'),
-    *(Quantity('mounting_rotation', name, f'{name} of the IMU\'s mounting', 'deg', 180 / math.pi, angle=True)
+    TrackedQuantity('gnss_time_offset', 'time_offset', 'time offset of the receiver', 's'),
+    *(TrackedQuantity('mounting_rotation', name, f'{name} of the IMU\'s mounting', 'deg', 180 / math.pi, angle=True)
       for name in ('roll', 'pitch', 'yaw')),
-    *(Quantity('gnss_lever_arm', axis, f'antenna ({way})', 'm')
+    *(TrackedQuantity('gnss_lever_arm', axis, f'antenna ({way})', 'm')
       for axis, way in (('x', 'forward'), ('y', 'left'), ('z', 'up'))),
-    *(Quantity(f'{sensor}_noise', 'density', f'noise of the {sensor}s', '%', ratio=True)
+    *(TrackedQuantity(f'{sensor}_noise', 'density', f'noise of the {sensor}s', '%', ratio=True)
       for sensor in ('accelerometer', 'gyroscope')),
-    Quantity('receiver', 'scatter', 'scatter of the receiver', '%', ratio=True))}
+    TrackedQuantity('receiver', 'scatter', 'scatter of the receiver', '%', ratio=True))}
 
 
 @dataclass(frozen=True)
-class Series:
+class QuantityHistory:
     """Estimates of one quantity from the drives of one vehicle in the order of time: stamp (n,) ns, value and sigma
     (n,).
 
@@ -67,7 +67,7 @@ class Series:
     """
 
     vehicle: str
-    quantity: Quantity
+    quantity: TrackedQuantity
     source: str
     stamp: np.ndarray
     value: np.ndarray
@@ -78,13 +78,13 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Change:
+class ChangePoint:
     """One step. last, first: ns, of the last drive before and the first drive after it. before, after: number of
     drives. step, sigma: in the unit of the quantity. p: probability of a step this large without a change, corrected
     for all places."""
 
     vehicle: str
-    quantity: Quantity
+    quantity: TrackedQuantity
     source: str
     last: int
     first: int
@@ -108,7 +108,7 @@ def day(stamp: int) -> str:
     return str(np.datetime64(int(stamp), 'ns').astype('datetime64[m]')).replace('T', ' ')
 
 
-def series_of(rows: Sequence[dict]) -> list[Series]:
+def series_of(rows: Sequence[dict]) -> list[QuantityHistory]:
     """The series in `rows` of estimates: vehicle, source, effect, parameter, value, sigma and stamp_ns."""
     found: dict[tuple, list] = {}
     for row in rows:
@@ -118,7 +118,7 @@ def series_of(rows: Sequence[dict]) -> list[Series]:
     return [_one_series(QUANTITIES[key[2:]], rows) for key, rows in sorted(found.items())]
 
 
-def _one_series(quantity: Quantity, rows: list[dict]) -> Series:
+def _one_series(quantity: TrackedQuantity, rows: list[dict]) -> QuantityHistory:
     rows = sorted(rows, key=lambda row: (row['stamp_ns'], row['value']))
     value = np.array([row['value'] for row in rows], dtype=float)
     # without stated sigmas all drives have the same weight, and the scale gives their scatter
@@ -130,11 +130,12 @@ def _one_series(quantity: Quantity, rows: list[dict]) -> Series:
         value = value[0] + wrap(value - value[0])
     sigma = np.where(np.isfinite(sigma), sigma, 0.1)
     good = np.isfinite(value)
-    return Series(rows[0]['vehicle'], quantity, rows[0]['source'], np.array([r['stamp_ns'] for r in rows])[good],
-                  value[good], sigma[good])
+    return QuantityHistory(rows[0]['vehicle'], quantity, rows[0]['source'],
+                           np.array([r['stamp_ns'] for r in rows])[good],
+                           value[good], sigma[good])
 
 
-def find_changes(series: Sequence[Series]) -> list[Change]:
+def find_changes(series: Sequence[QuantityHistory]) -> list[ChangePoint]:
     """The changes in all series of a fleet."""
     places = sum(max(len(s) - 1, 0) for s in series)
     found = []
@@ -152,7 +153,7 @@ def find_changes(series: Sequence[Series]) -> list[Change]:
     return sorted(found, key=lambda c: (c.vehicle, c.last, c.quantity.words))
 
 
-def _scale(series: Sequence[Series], without: int = 0) -> tuple[float, int]:
+def _scale(series: Sequence[QuantityHistory], without: int = 0) -> tuple[float, int]:
     """Ratio of the differences between successive drives to their expectation, at least 1, and the number of
     differences, `without` the largest ones.
 
@@ -165,7 +166,7 @@ def _scale(series: Sequence[Series], without: int = 0) -> tuple[float, int]:
     return max(1.0, math.sqrt(float(np.median(squares)) / _MEDIAN)), len(squares)
 
 
-def _steps(s: Series, begin: int, end: int, freedom: float, places: int) -> list[tuple]:
+def _steps(s: QuantityHistory, begin: int, end: int, freedom: float, places: int) -> list[tuple]:
     """(first, place, end, p) of the steps among the drives from `begin` to `end`, each with the constant parts around
     it."""
     if end - begin < 2:
@@ -192,15 +193,15 @@ def _two_sided(score: float, freedom: float) -> float:
     return float(2.0 * t.sf(score, freedom))
 
 
-def _change(s: Series, first: int, at: int, last: int, p: float) -> Change:
+def _change(s: QuantityHistory, first: int, at: int, last: int, p: float) -> ChangePoint:
     means, variances = zip(*(_mean(s, part) for part in (slice(first, at), slice(at, last))))
     step, sigma, q = means[1] - means[0], math.sqrt(sum(variances)), s.quantity
     if q.ratio:
         step, sigma = 100.0 * math.expm1(step), 100.0 * math.exp(step) * sigma
-    return Change(s.vehicle, q, s.source, int(s.stamp[at - 1]), int(s.stamp[at]), (at - first, last - at),
-                  q.scale * step, q.scale * sigma, p)
+    return ChangePoint(s.vehicle, q, s.source, int(s.stamp[at - 1]), int(s.stamp[at]), (at - first, last - at),
+                       q.scale * step, q.scale * sigma, p)
 
 
-def _mean(s: Series, part: slice) -> tuple[float, float]:
+def _mean(s: QuantityHistory, part: slice) -> tuple[float, float]:
     weight = 1.0 / s.sigma[part]**2
     return float(weight @ s.value[part] / weight.sum()), float(1.0 / weight.sum())

@@ -79,6 +79,6 @@ def compare(first, second) -> Gate:
     return Gate(first, second, verdict, unit, len(shared), lost)
 
 
-def text(gate: Gate) -> str:
+def report_text(gate: Gate) -> str:
     """The content of a report for programs."""
     return json.dumps(gate.json(), indent=1) + '\n'

@@ -33,7 +33,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, order=True)
-class Where:
+class ComparedQuantity:
     """A quantity to compare. without: s without fixes; 0: with fixes. interval: s between fixes."""
 
     without: float
@@ -44,14 +44,15 @@ class Where:
 
 
 #: by quantity, candidate and (vehicle, recording): m, the RMS error with fixes, or of the largest errors without
-Errors = dict[Where, dict[Candidate, dict[tuple[str, str], float]]]
+Errors = dict[ComparedQuantity, dict[Candidate, dict[tuple[str, str], float]]]
 
 
 def errors_of(results: Sequence[dict], outages: Sequence[dict]) -> Errors:
     """The errors in the tables `results` and `outages`."""
     found: Errors = {}
-    numbers = [(row, Where(0.0, row['update_interval_s'] or 0.0), row['horizontal_rmse_m']) for row in results]
-    numbers += [(row, Where(row['duration_s'], row['update_interval_s'] or 0.0), row['max_error_rms_m'])
+    numbers = [(row, ComparedQuantity(0.0, row['update_interval_s'] or 0.0), row['horizontal_rmse_m'])
+               for row in results]
+    numbers += [(row, ComparedQuantity(row['duration_s'], row['update_interval_s'] or 0.0), row['max_error_rms_m'])
                 for row in outages]
     files: dict[str, set[str]] = {}
     for row, _, _ in numbers:
@@ -86,7 +87,7 @@ def mean_of(values: np.ndarray) -> Difference | None:
     return Difference(float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values))), float(len(values)))
 
 
-def change(where: Where, before: dict, after: dict) -> tuple[Change, str] | None:
+def change(where: ComparedQuantity, before: dict, after: dict) -> tuple[Change, str] | None:
     """The change from one candidate to another on the recordings that both have, and its unit; None if there are none.
 
     before, after: m, by vehicle and recording.
@@ -119,11 +120,11 @@ def compared(before: Errors, after: Errors) -> tuple[Verdict, str]:
 
 
 @dataclass(frozen=True)
-class Standing:
+class CandidateRank:
     """Result of a candidate for a quantity. mean: m, over units; low, high: its 95 % interval or None. count: number of
     units (`unit`). answer: of the verdict against the best candidate; '' for the best."""
 
-    where: Where
+    where: ComparedQuantity
     candidate: Candidate
     mean: float
     low: float | None
@@ -133,7 +134,7 @@ class Standing:
     answer: str
 
 
-def standings(errors: Errors) -> list[Standing]:
+def standings(errors: Errors) -> list[CandidateRank]:
     """The candidates for each quantity, the best first."""
     found = []
     for where, candidates in errors.items():
@@ -144,8 +145,8 @@ def standings(errors: Errors) -> list[Standing]:
             mean = mean_of(values)
             low, high = mean.interval() if mean else (None, None)
             against = change(where, candidates[best], candidates[candidate]) if candidate != best else None
-            found.append(Standing(where, candidate, float(values.mean()), low, high, len(values), unit,
-                                  decide([against[0]]).answer if against else ''))
+            found.append(CandidateRank(where, candidate, float(values.mean()), low, high, len(values), unit,
+                                       decide([against[0]]).answer if against else ''))
     return found
 
 

@@ -18,7 +18,7 @@ from .engines import DIED, engine
 from .failures import PASSING
 from .jobs import TASKS, TOGETHER, Job, by_vehicle, job
 from .sources import Entry, SourceError, find_entries, is_state_file, size_and_time
-from .work import RESULT, RESULTS, died, do, identify
+from .work import RESULT, RESULTS, do_job, identify, record_crash
 
 #: tells a folder of ours, and what is in it
 MARKER = 'fleet.json'
@@ -33,7 +33,7 @@ DONE, FAILED, DUPLICATE, OPEN = 'done', 'failed', 'duplicate', 'open'
 
 
 @dataclass(frozen=True)
-class Asked:
+class FleetTask:
     """The task of a fleet run. params_file: for recordings whose table names none. workers: processes on this machine.
     memory: GB for each of them. shard: (i, n), the i-th of n parts; (1, 1): all. pages: whether to write the pages of
     recordings."""
@@ -54,9 +54,9 @@ class Asked:
 class Fleet:
     """Result of a fleet run. rows: by table name. said: messages to the user. interrupted: whether jobs are left."""
 
-    asked: Asked
+    asked: FleetTask
     rows: dict[str, list[dict]]
-    changes: list[change_points.Change]
+    changes: list[change_points.ChangePoint]
     said: list[str] = field(default_factory=list)
     interrupted: bool = False
 
@@ -72,7 +72,7 @@ class Fleet:
         return found
 
 
-def run(asked: Asked, progress: Callable[[float, str], None] = lambda part, what: None) -> Fleet:
+def run(asked: FleetTask, progress: Callable[[float, str], None] = lambda part, what: None) -> Fleet:
     """Do the jobs that are left, and write tables, histories and the page; with a shard, only the jobs.
 
     progress: called with the part done and the current step. An interruption ends the jobs; what is finished is
@@ -99,7 +99,7 @@ def run(asked: Asked, progress: Callable[[float, str], None] = lambda part, what
     return _written(asked, known, entries, states)
 
 
-def _entries(asked: Asked) -> tuple[list[Entry], list[Entry]]:
+def _entries(asked: FleetTask) -> tuple[list[Entry], list[Entry]]:
     """The recordings of the shard, and the state files."""
     found = find_entries(asked.source, asked.vehicle_from)
     states = [entry for entry in found if is_state_file(entry.recording)]
@@ -113,7 +113,7 @@ def _entries(asked: Asked) -> tuple[list[Entry], list[Entry]]:
     return entries, states
 
 
-def _claim(asked: Asked) -> None:
+def _claim(asked: FleetTask) -> None:
     """Make the output folder. ResultError if it belongs to something else, or to another task."""
     output = asked.output
     marker = output / MARKER
@@ -135,7 +135,7 @@ def _claim(asked: Asked) -> None:
 class _Known:
     """Identities of the recordings, and their results so far."""
 
-    def __init__(self, asked: Asked):
+    def __init__(self, asked: FleetTask):
         self._asked = asked
         self._options = {'pages': asked.pages, 'memory_gb': asked.memory}
         self._contents = self._remembered()
@@ -143,7 +143,7 @@ class _Known:
         #: of finished jobs: their columns in the table `recordings`, by the id of the job, and their rows in the other
         #: tables; loaded: whether the results of earlier runs are included
         self._results: dict[str, dict] = {}
-        self.texts = tables.Texts()
+        self.texts = tables.TableTexts()
         self.loaded = False
 
     def _remembered(self) -> dict[str, tuple[str, int, str]]:
@@ -253,24 +253,24 @@ def result(output: Path, work: Job) -> dict | None:
         return None
 
 
-def _all(workers, jobs: dict, known: _Known, asked: Asked, progress: Callable[[float, str], None]) -> None:
+def _all(workers, jobs: dict, known: _Known, asked: FleetTask, progress: Callable[[float, str], None]) -> None:
     """Do those of `jobs` that have no result, the largest first, so that the last ones to end are short.
 
     Source: R. L. Graham, "Bounds on multiprocessing timing anomalies", 1969.
     """
     by_size = sorted(jobs.values(), key=lambda work: (-known.size(work), work.id))
     left = {work.id: work for work in by_size if known.is_open(work)}
-    here, count = partial(do, output=str(asked.output)), len(left)
+    here, count = partial(do_job, output=str(asked.output)), len(left)
     progress(0.0, '')
     given = [asdict(work) for work in left.values()]
     for done, (values, answer) in enumerate(_compiled_first(workers, here, given, asked), 1):
         if answer is DIED:
-            died(values, str(asked.output))
+            record_crash(values, str(asked.output))
         known.look_up(left[values['id']])
         progress(done / count, f'{done} of {count} {"vehicles" if len(values["recordings"]) > 1 else "recordings"}')
 
 
-def _compiled_first(workers, function, items: list, asked: Asked) -> Iterator[tuple]:
+def _compiled_first(workers, function, items: list, asked: FleetTask) -> Iterator[tuple]:
     """`workers.each`, but one job at a time until the filter is compiled: otherwise each process would compile it."""
     from ..compiled import FOLDER
 
@@ -281,7 +281,7 @@ def _compiled_first(workers, function, items: list, asked: Asked) -> Iterator[tu
         yield from workers.each(function, items)
 
 
-def _interrupted(asked: Asked, known: _Known, entries) -> Fleet:
+def _interrupted(asked: FleetTask, known: _Known, entries) -> Fleet:
     """Write only the CSV tables of finished jobs, which is fast, after an interruption."""
     rows = {'recordings': known.recordings(entries)}
     if known.loaded and asked.shard == (1, 1):
@@ -290,7 +290,7 @@ def _interrupted(asked: Asked, known: _Known, entries) -> Fleet:
     return Fleet(asked, rows, [], interrupted=True)
 
 
-def _written(asked: Asked, known: _Known, entries, states) -> Fleet:
+def _written(asked: FleetTask, known: _Known, entries, states) -> Fleet:
     """Tables, histories, changes and page."""
     from .page import page
 
@@ -315,7 +315,7 @@ def _written(asked: Asked, known: _Known, entries, states) -> Fleet:
     return fleet
 
 
-def _rows(asked: Asked, known: _Known, entries: Sequence[Entry]) -> dict[str, list[dict]]:
+def _rows(asked: FleetTask, known: _Known, entries: Sequence[Entry]) -> dict[str, list[dict]]:
     """The rows of all tables, from the results so far."""
     rows: dict[str, list[dict]] = {name: [] for name in tables.TABLES}
     rows['recordings'] = known.recordings(entries)

@@ -57,7 +57,7 @@ def _order(row: dict) -> tuple:
     return tuple([(value is not None, value) for value in row.values()])
 
 
-def ready() -> bool:
+def can_write_parquet() -> bool:
     """Whether Parquet can be written."""
     try:
         import pyarrow.dataset  # noqa: F401
@@ -66,7 +66,7 @@ def ready() -> bool:
     return True
 
 
-class Texts:
+class TableTexts:
     """The tables as text, updated with each result, so that finished results can be written at once.
 
     Rows are sorted by the columns that all tables begin with, which are the same in all rows of one result.
@@ -94,7 +94,7 @@ class Texts:
 
 def write(output: Path, rows: dict[str, list[dict]]) -> str:
     """Write the tables to `output` (rows by table name), replacing earlier ones. Returns a message, or ''."""
-    texts, both = Texts(), ready()
+    texts, both = TableTexts(), can_write_parquet()
     with result_folder(Path(output) / FOLDER, overwrite=True, marker='recordings.csv') as folder:
         for name in TABLES:
             some = complete(name, rows.get(name, ()))

@@ -29,7 +29,7 @@ class TrackError(InputError):
 
 
 @dataclass(frozen=True)
-class Track:
+class FilterTrack:
     """Trajectory of a filter, (n,) each, with the names of `filter.runs.results.Run`, so that the same code measures
     it.
 
@@ -54,7 +54,7 @@ class Track:
         return np.zeros((len(self.stamp), 2))
 
 
-def read_track(path, datum, topic: str = '', week: int = 0) -> Track:
+def read_track(path, datum, topic: str = '', week: int = 0) -> FilterTrack:
     """The track in `path`: a bag with nav_msgs/Odometry, TUM text, a navigation result of KF-GINS (with its standard
     deviations in the file beside it that ends in .std, if there is one), or CSV as read by
     `recordings.reference_files`. datum: rad, rad, m, of local coordinates. topic: of the odometry; '' if there is only
@@ -69,8 +69,9 @@ def read_track(path, datum, topic: str = '', week: int = 0) -> Track:
     missing, still = np.full(len(reference), np.nan), np.zeros(len(reference))
     velocity = _differences(reference) if reference.velocity is None else reference.velocity[:, :2]
     yaw = np.arctan2(*velocity.T[::-1]) if reference.yaw is None else reference.yaw
-    return _in_order(Track(reference.stamp, reference.latitude, reference.longitude, reference.height, still, still,
-                           yaw, velocity, np.column_stack([missing, missing]), missing))
+    return _in_order(FilterTrack(reference.stamp, reference.latitude, reference.longitude, reference.height, still,
+                                 still,
+                                 yaw, velocity, np.column_stack([missing, missing]), missing))
 
 
 def _numbers(path: Path) -> np.ndarray | None:
@@ -83,7 +84,7 @@ def _numbers(path: Path) -> np.ndarray | None:
         return None
 
 
-def _kf_gins(rows: np.ndarray, deviations: np.ndarray | None, week: int) -> Track:
+def _kf_gins(rows: np.ndarray, deviations: np.ndarray | None, week: int) -> FilterTrack:
     # KF-GINS writes 0 for the week
     weeks, second, latitude, longitude, height, v_n, v_e, _, roll, pitch, yaw = rows.T
     weeks = np.where(weeks > 0, weeks, week).astype(np.int64)
@@ -93,11 +94,11 @@ def _kf_gins(rows: np.ndarray, deviations: np.ndarray | None, week: int) -> Trac
         sigma = np.column_stack([np.interp(second, deviations[:, 0], deviations[:, i]) for i in (1, 2)])
     angles = np.radians([latitude, longitude, roll, pitch, yaw])
     # the file has no covariance of north and east
-    return _in_order(Track(stamp, angles[0], angles[1], height, *angles[2:], np.column_stack([v_n, v_e]), sigma,
-                           np.where(np.isfinite(sigma[:, 0]), 0.0, np.nan)))
+    return _in_order(FilterTrack(stamp, angles[0], angles[1], height, *angles[2:], np.column_stack([v_n, v_e]), sigma,
+                                 np.where(np.isfinite(sigma[:, 0]), 0.0, np.nan)))
 
 
-def _read_bag(path: Path, datum, topic: str) -> Track:
+def _read_bag(path: Path, datum, topic: str) -> FilterTrack:
     with Bag(path) as bag:
         topics = [name for name, kind in sorted(bag.topics.items()) if kind == messages.ODOMETRY]
         if not topics or (topic and topic not in topics):
@@ -120,9 +121,9 @@ def _read_bag(path: Path, datum, topic: str) -> Track:
     known = (covariance[:, 0, 0] > 0) & (covariance[:, 1, 1] > 0)
     variance = np.where(known[:, None], covariance[:, [1, 0], [1, 0]], np.nan)
     speed = array['twist.twist.linear'][:, 0]
-    return _in_order(Track(messages.stamps(array), latitude, longitude, height, *_roll_pitch(orientation), yaw,
-                           np.column_stack([speed * np.cos(yaw), speed * np.sin(yaw)]), np.sqrt(variance),
-                           np.where(known, covariance[:, 0, 1], np.nan)))
+    return _in_order(FilterTrack(messages.stamps(array), latitude, longitude, height, *_roll_pitch(orientation), yaw,
+                                 np.column_stack([speed * np.cos(yaw), speed * np.sin(yaw)]), np.sqrt(variance),
+                                 np.where(known, covariance[:, 0, 1], np.nan)))
 
 
 def _roll_pitch(orientation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -144,10 +145,10 @@ def _differences(reference) -> np.ndarray:
         return np.nan_to_num(np.column_stack([np.gradient(north, time), np.gradient(east, time)]))
 
 
-def _in_order(track: Track) -> Track:
+def _in_order(track: FilterTrack) -> FilterTrack:
     """Sorted by time, without duplicate times."""
     _, index = np.unique(track.stamp, return_index=True)
-    return Track(**{name: array[index] for name, array in vars(track).items()})
+    return FilterTrack(**{name: array[index] for name, array in vars(track).items()})
 
 
 def gps_week(stamp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

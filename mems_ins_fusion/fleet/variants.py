@@ -14,7 +14,7 @@ import numpy as np
 from ..filter.measurements.registry import MEASUREMENTS
 from ..navigation.earth import from_local, to_local
 from ..navigation.frames import mounting, wrap
-from ..recordings.several import later
+from ..recordings.several import shifted_recording
 from ..samples import Recording
 
 #: ns by which all stamps are moved
@@ -38,7 +38,7 @@ class Variant:
 
 def shifted(recording: Recording, values: dict, datum: tuple) -> Recording:
     """All stamps a microsecond later."""
-    return later(recording, SHIFT)
+    return shifted_recording(recording, SHIFT)
 
 
 def turned(recording: Recording, values: dict, datum: tuple) -> Recording:

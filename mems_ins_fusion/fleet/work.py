@@ -34,7 +34,7 @@ def identify(place: str) -> tuple[str, int, str] | None:
         return None
 
 
-def do(values: dict, output: str) -> str:
+def do_job(values: dict, output: str) -> str:
     """Do the job `values` (see `jobs.from_dict`) and write its result below `output`. Returns its id.
 
     Any error becomes a result that describes it. Only exceptions that end the process are raised.
@@ -70,7 +70,7 @@ class _OtherVersion(InputError):
     pass
 
 
-def died(values: dict, output: str) -> str:
+def record_crash(values: dict, output: str) -> str:
     """Write the result of a job whose worker ended twice; returns its id."""
     work = from_dict(values)
     with result_folder(Path(output) / RESULTS / work.id, overwrite=True, marker=RESULT) as folder:
@@ -158,10 +158,10 @@ def _run_row(row: dict) -> dict:
 
 def _shown_by_recording(recording) -> list[dict]:
     """Estimates from a recording alone, as rows; none if `configure` cannot use it."""
-    from ..configuration.configure import look
+    from ..configuration.configure import evidence_of_recording
 
     try:
-        return shown_by(look(recording.name, recording.imu, recording.gnss))
+        return configured_effects(evidence_of_recording(recording.name, recording.imu, recording.gnss))
     except RecordingError:
         return []
 
@@ -170,7 +170,7 @@ def _look(work: Job, paths, references, given, folder: Path, known_as: Path) -> 
     """Estimates of `configure` from the recording alone."""
     result, said = _configured(paths)
     [drive] = result.drives
-    rows = {'effects': shown_by(drive), 'results': [], 'outages': [],
+    rows = {'effects': configured_effects(drive), 'results': [], 'outages': [],
             'findings': [_finding('checker', f.severity, f.topic, f.message) for f in drive.remarks]
             + _said('reader', said) + [_finding('configure', 'info', '', text) for text in result.missing]}
     stamp = drive.imu.stamp
@@ -179,7 +179,7 @@ def _look(work: Job, paths, references, given, folder: Path, known_as: Path) -> 
         'fixes': 0 if drive.fixes is None else len(drive.fixes)}}
 
 
-def shown_by(drive) -> list[dict]:
+def configured_effects(drive) -> list[dict]:
     """Estimates of `configure` from one drive as rows of `effects`."""
     rows, found = [], drive.mounting
     if found is not None:

@@ -17,8 +17,8 @@ from sensor_msgs.msg import NavSatFix
 from std_srvs.srv import SetBool, Trigger
 
 from ..compiled import tell
-from ..diagnosis.applying import go_on, with_applied
-from ..diagnosis.quantity import Findings
+from ..diagnosis.applying import apply_findings, with_applied
+from ..diagnosis.quantity import FilterFindings
 from ..filter.config import FilterConfig
 from ..filter.measurements.registry import imus
 from ..filter.runs.changing import ChangingFilter
@@ -292,13 +292,13 @@ class FusionNode(Node):
         if others:
             self.get_logger().warning(f"state file: another device than before ({', '.join(others)}): findings from "
                                       f"the earlier one are not used: {', '.join(self._applied)}")
-            self._apply_findings(Findings({}, {}))
+            self._apply_findings(FilterFindings({}, {}))
             self._online.ask('reject')
 
     def _apply_findings(self, findings):
         """Set `findings` in the filter, in addition to the parameters that the node was given."""
         changes = self._set_applied(findings.applied)
-        go_on(self._filter, self._values_without_findings(), findings, changes)
+        apply_findings(self._filter, self._values_without_findings(), findings, changes)
         if changes:
             self._save_if_asked()
 

@@ -63,7 +63,7 @@ class Log:
             self._logger.error(line)
 
 
-class Watch:
+class SilenceWatch:
     """Notices that a topic is silent: `patience` seconds after the last message, then every `period` seconds.
 
     The callback of the subscription only increments `count`, as it is called for each message.
@@ -121,9 +121,11 @@ class StateLog:
         if state != self._state:
             before = f' after {self._state} for {now - self._since:.0f} s' if self._state else ''
             self._state, self._since, self._said = state, now, now
-            return 0.0, f'state: {state}{before} ({status})'
+            # the status 'waiting for a fix' contains the state
+            return 0.0, f'state: {status}{before}' if status.startswith(state) else f'state: {state}{before} ({status})'
         lasted = now - self._since
         if (state in self._quiet or now - self._said < self._period) and not (changed and lasted > 0.0):
             return lasted, None
         self._said = now
-        return lasted, f'state: still {state}, for {lasted:.0f} s ({status})'
+        return lasted, f'state: still {status}, for {lasted:.0f} s' if status.startswith(state) else (
+            f'state: still {state}, for {lasted:.0f} s ({status})')

@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from ..configuration.check import YAW_NOT_SHOWN, check_standstills, judge_mounting
+from ..configuration.check import YAW_NOT_SHOWN, check_standstills, compare_mounting
 from ..recordings.checker import ERROR, check_units
 from ..recordings.motion import find_standstill
 from ..samples import SECOND, Fixes, ImuSamples
@@ -108,7 +108,7 @@ class MountingCheck:
                 if wrong:  # with wrong units or scales, the mounting cannot be checked
                     self.is_wrong, self.found = True, '; '.join(wrong)
                     return 'error', self.found
-                findings, seen = judge_mounting(imu, fixes, self._values, self._values['gnss.time_offset'])
+                findings, seen = compare_mounting(imu, fixes, self._values, self._values['gnss.time_offset'])
                 standstills = list(check_standstills(imu, fixes, self._values)) if fixes is not None else []
         except (ValueError, ArithmeticError, np.linalg.LinAlgError):  # impossible values must not stop a node
             return None

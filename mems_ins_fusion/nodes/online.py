@@ -15,9 +15,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from ..diagnosis.applying import Due
+from ..diagnosis.applying import AnswerSchedule
 from ..diagnosis.gathering import CHUNK, Gathering
-from ..diagnosis.quantity import INITIALISING, SUSPECT, Findings, Kept, Quantity
+from ..diagnosis.quantity import INITIALISING, SUSPECT, EarlierFinding, FilterFindings, FindingState
 from ..filter.measurements.registry import aiding
 from ..filter.runs.changing import Dropped
 from .estimates import LATCHED, NO_EVENTS
@@ -35,17 +35,17 @@ class OnlineDiagnosis:
     No method waits: threads pickle and write the chunks of data, and read the answers.
     """
 
-    def __init__(self, node: Node, values: dict, log: Log, kept: list[Kept]):
+    def __init__(self, node: Node, values: dict, log: Log, kept: list[EarlierFinding]):
         self._name, self._log = node.get_name(), log
         self._keeps = values['diagnosis.online'] == 'apply'
-        self._due = Due({one.name: one.sets for one in kept})
+        self._due = AnswerSchedule({one.name: one.sets for one in kept})
         self._gathering = Gathering(aiding(values))
         self._chunks: Queue = Queue(maxsize=max(int(values['diagnosis.window'] / CHUNK), 2))
-        self._answers: deque[tuple[int, list[Quantity]] | str] = deque()  # with the number of the chunk
+        self._answers: deque[tuple[int, list[FindingState]] | str] = deque()  # with the number of the chunk
         self._dropped: list[Dropped] = []  # since the last chunk
         self._kept = kept  # findings that are applied, for the next start
         self._said: dict[str, tuple] = {}
-        self._known: list[Quantity] = []
+        self._known: list[FindingState] = []
         self._publisher = node.create_publisher(DiagnosticArray, '~/calibration', LATCHED, **NO_EVENTS)
         self._process = subprocess.Popen(
             [sys.executable, '-m', 'mems_ins_fusion.diagnosis.worker', str(values['diagnosis.share']),
@@ -57,7 +57,7 @@ class OnlineDiagnosis:
             node.create_service(Trigger, f'~/calibration/{word}', partial(self._on_word, word))
         node.create_service(Trigger, '~/calibration/report', self._on_report)
 
-    def add_sample(self, sample: tuple) -> Findings | None:
+    def add_sample(self, sample: tuple) -> FilterFindings | None:
         """Add a sample: stamp (ns), specific force and angular rate, as for the filter. Returns the findings to apply
         from this sample on, if they have changed."""
         chunk = self._gathering.add_sample(sample)
@@ -95,7 +95,7 @@ class OnlineDiagnosis:
         self._kept = [kept for kept in self._kept if kept.name != one.name]
 
     @property
-    def kept(self) -> list[Kept] | None:
+    def kept(self) -> list[EarlierFinding] | None:
         """The findings that are applied, for the next start; None if a start would not apply them."""
         return self._kept if self._keeps else None
 
@@ -119,7 +119,7 @@ class OnlineDiagnosis:
         response.message = '\n'.join(f'{q.name} {q.sentence}' for q in self._known) or 'nothing known yet'
         return response
 
-    def _write(self, values: dict, kept: list[Kept]) -> None:
+    def _write(self, values: dict, kept: list[EarlierFinding]) -> None:
         try:
             pickle.dump((values, kept), self._process.stdin)
             self._process.stdin.flush()
@@ -162,7 +162,7 @@ class OnlineDiagnosis:
             if known or before:  # also that nothing is known any more
                 self._publisher.publish(array((known or before)[0].time, self._statuses()))
 
-    def _say(self, answer: list[Quantity]) -> None:
+    def _say(self, answer: list[FindingState]) -> None:
         for quantity in answer:
             if self._said.get(quantity.name) != quantity.said and quantity.state != INITIALISING:
                 level = 'warning' if quantity.is_to_look_at else 'info'
@@ -178,6 +178,6 @@ class OnlineDiagnosis:
         self._process.terminate()
 
 
-def _without(dropped: set[str], quantities: list[Quantity]) -> list[Quantity]:
+def _without(dropped: set[str], quantities: list[FindingState]) -> list[FindingState]:
     """`quantities` where the filter has dropped some of them."""
     return [replace(q, applied=False, state=SUSPECT) if q.applied and q.name in dropped else q for q in quantities]

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from ..diagnosis.estimate import Estimate
-from ..diagnosis.quantity import Kept
+from ..diagnosis.quantity import EarlierFinding
 from ..navigation.earth import to_local
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL
@@ -53,7 +53,7 @@ class StateFile:
         self._snapshot, self._calibration = snapshot, calibration
         return None
 
-    def calibration(self, topics: dict) -> tuple[list[Kept], list[str]]:
+    def calibration(self, topics: dict) -> tuple[list[EarlierFinding], list[str]]:
         """The findings of earlier drives for the sensors on the same `topics`, and their description in words. They do
         not depend on time and position of the snapshot."""
         same = [one for one in self._calibration if one['topics'] == topics]
@@ -85,7 +85,7 @@ class StateFile:
                           f'{self._max_distance:.0f} m (state_file_max_distance): starting without')
         return snapshot, f'starting from state file {self._path}, {age:.0f} s old, {distance:.1f} m away'
 
-    def write(self, snapshot: dict, kept: list[Kept] | None = None, topics: dict | None = None,
+    def write(self, snapshot: dict, kept: list[EarlierFinding] | None = None, topics: dict | None = None,
               devices: dict | None = None) -> str | None:
         """Replace the file; at any moment either the old or the new one exists. Returns an error message, or None.
 
@@ -111,9 +111,10 @@ class StateFile:
         return None
 
 
-def _kept(one: dict) -> Kept:
+def _kept(one: dict) -> EarlierFinding:
     """A finding from an entry of the file. Raises ValueError, KeyError or TypeError for an invalid entry."""
     values = {name: ALL[name].check(value) for name, value in one['set'].items()}
-    return Kept(str(one['name']), {name: Estimate(float(value), None if sigma is None else float(sigma), str(unit))
-                                   for name, (value, sigma, unit) in one['parameters'].items()}, values,
-                int(one.get('found', 0)))
+    return EarlierFinding(str(one['name']),
+                          {name: Estimate(float(value), None if sigma is None else float(sigma), str(unit))
+                           for name, (value, sigma, unit) in one['parameters'].items()}, values,
+                          int(one.get('found', 0)))

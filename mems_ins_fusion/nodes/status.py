@@ -6,7 +6,7 @@ from collections import deque
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from ..diagnosis.quantity import Quantity
+from ..diagnosis.quantity import FindingState
 from ..filter.runs.horizon import Horizon
 from ..filter.runs.tally import Tally
 from ..samples import SECOND
@@ -146,7 +146,7 @@ def horizon_status(name: str, horizon: Horizon | None, limit: float) -> Diagnost
                                                                   'limit, m': limit}))
 
 
-def quantity_status(name: str, quantity: Quantity) -> DiagnosticStatus:
+def quantity_status(name: str, quantity: FindingState) -> DiagnosticStatus:
     """The status of one quantity of the diagnosis while driving."""
     values: dict = {'state': quantity.state}
     for parameter, estimate in quantity.parameters.items():

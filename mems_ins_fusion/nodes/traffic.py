@@ -6,14 +6,14 @@ import time
 from collections.abc import Callable
 
 from ..samples import SECOND
-from .log import Watch
+from .log import SilenceWatch
 
 #: largest step of a publisher's sequence numbers; a larger one means another publisher
 _FAR = 10**6
 
 
-class Traffic(Watch):
-    """A `Watch` whose messages are counted by `take`, which is called for each message and kept fast.
+class Traffic(SilenceWatch):
+    """A `SilenceWatch` whose messages are counted by `take`, which is called for each message and kept fast.
 
     count: number of messages so far. lost: number of missing messages, by the publisher's sequence numbers. frame_id,
     stamp (ns): of the newest message. delay: s from the stamp to the processing, NaN before the first message; measured

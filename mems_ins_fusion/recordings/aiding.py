@@ -121,7 +121,7 @@ def _advice(measurement: Measurement, remarks: list[Remark], declared, settings:
     name = NAMES[measurement.kind]
     shown = {key: value for remark in remarks for key, value in remark.values.items()}
     if name in ('speed', 'twist') and 'ratio' in shown:
-        if not shown['ratio'] or np.nanmax(np.abs(forwards(declared).speed)) < _ZERO:
+        if not shown['ratio'] or np.nanmax(np.abs(forward_speed(declared).speed)) < _ZERO:
             return '', ('it stays at zero while the vehicle drives; '
                         f'leave {measurement.topic} empty until its sensor works')
         sign = -1.0 if 'negative' in shown else 1.0
@@ -146,10 +146,10 @@ def check_speed(speeds: Speeds, fixes: Fixes | None) -> Iterator[Remark]:
 
 def check_twist(twists: Twists, fixes: Fixes | None) -> Iterator[Remark]:
     """`check_speed` for the forward velocity of an odometry."""
-    yield from _check_forward('twist', forwards(twists), fixes)
+    yield from _check_forward('twist', forward_speed(twists), fixes)
 
 
-def forwards(samples: Speeds | Twists) -> Speeds:
+def forward_speed(samples: Speeds | Twists) -> Speeds:
     """The forward velocity of a speed or an odometry, as a speed."""
     if isinstance(samples, Speeds):
         return samples

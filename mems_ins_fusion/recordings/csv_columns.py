@@ -38,7 +38,7 @@ _DAY = ('date', 'utcdate', 'gpsdate', 'datum')
 _WEEK = ('week', 'gpsweek', 'gwk', 'wn')
 _INTO_WEEK = ('tow', 'sow', 'seconds', 'secondsofweek', 'itow', 'gms', 'gpstow', 'gpssow', 'gpsseconds', 'gpssec')
 DATE = (('year',), ('month',), ('day',), ('hour',), ('min', 'minute'), ('sec', 'second', 'seconds'))
-#: usual names of columns, as `tables.plain` leaves them
+#: usual names of columns, as `tables.plain_name` leaves them
 IMU_COLUMNS = {'time': TIME,
                **{f'a{axis}': _axis_aliases(_ACCELEROMETER, axis) for axis in 'xyz'},
                **{f'w{axis}': _axis_aliases(_GYROSCOPE, axis) for axis in 'xyz'},
@@ -100,13 +100,13 @@ def find(table: Table, wanted: str, known: dict, columns: dict[str, str]) -> Col
     if given is None:
         name = table.find(known[wanted])
         return Column(name) if name else None
-    found = match(table, given)
+    found = matching_column(table, given)
     if found is None and not given.endswith('|'):
         raise RecordingError(f"{table.path} has no column '{given}' for {wanted}; {table.listing()}")
     return found
 
 
-def match(table: Table, given: str) -> Column | None:
+def matching_column(table: Table, given: str) -> Column | None:
     """The first of the columns `A|B [unit]` that `table` has; None where it has none."""
     for name in (given, *given.split('|')):
         if name in table.names:
@@ -121,7 +121,7 @@ def time_source(table: Table, columns: dict[str, str]) -> tuple[str, ...] | None
     """The columns of time: one, a date and a time of day, week and seconds of GPS time, or six of a date; None where
     there are none."""
     if 'time' in columns:
-        found = match(table, columns['time'])
+        found = matching_column(table, columns['time'])
         return _with_day(table, found.name) if found else None
     date = tuple(table.find(aliases) for aliases in DATE)
     week, into = (table.find(aliases) for aliases in (_WEEK, _INTO_WEEK))

@@ -19,7 +19,7 @@ from mems_ins_fusion.recordings.csv_columns import (
     Column,
     find,
     is_time_of_day,
-    match,
+    matching_column,
     summary,
     time_source,
     unit_of_time,
@@ -372,7 +372,7 @@ def _require(table: Table, wanted, known: dict, columns: dict[str, str], alone: 
     alone: further names that are usual in this file.
     """
     known = {name: (*aliases, *(alone or {}).get(name, ())) for name, aliases in known.items()}
-    found = {name: match(table, columns[name]) if name in columns else find(table, name, known, {})
+    found = {name: matching_column(table, columns[name]) if name in columns else find(table, name, known, {})
              for name in wanted}
     missing = [name for name in wanted if found[name] is None]
     if missing:
@@ -403,7 +403,7 @@ def _times(table: Table, columns: dict[str, str], unit, longest: float, found: d
         stamp, _ = Table(table.path, ['date'], [dates], table.lines).times('date')
         nano = table.find(('nano',)) if len(source) == len(DATE) else None
         return stamp + (0 if nano is None else table.numbers(nano).astype(np.int64)), 'date'
-    time = match(table, columns['time']) if 'time' in columns else Column(name)
+    time = matching_column(table, columns['time']) if 'time' in columns else Column(name)
     stamp, unit = table.times(name, time.unit_among(TIME_UNITS) if time.stated else unit or unit_of_time(name), longest)
     if len(source) == 2:
         return utc_of_week(table.numbers(source[0]), stamp), f'GPS weeks and {unit}'

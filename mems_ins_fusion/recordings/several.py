@@ -26,7 +26,7 @@ def one_after_another(recordings: Sequence[Recording]) -> list[Recording]:
         if placed:
             end = max(int(samples.stamp.max()) for samples in _samples(placed[-1]))
             begin = min(int(samples.stamp.min()) for samples in _samples(recording))
-            recording = later(recording, end - begin + round(BETWEEN * 1e9))
+            recording = shifted_recording(recording, end - begin + round(BETWEEN * 1e9))
         placed.append(recording)
     return placed
 
@@ -42,7 +42,7 @@ def _samples(recording: Recording) -> list:
     return [samples for name, samples in recording.streams().items() if name != 'reference' and len(samples)]
 
 
-def later(recording: Recording, shift: int) -> Recording:
+def shifted_recording(recording: Recording, shift: int) -> Recording:
     """The recording with all stamps later by `shift` ns."""
     moved = {}
     for name, samples in recording.streams().items():

@@ -111,7 +111,7 @@ class Table:
 
         Names are compared without case, units in brackets, and punctuation.
         """
-        there = {plain(name): name for name in reversed(self.names)}
+        there = {plain_name(name): name for name in reversed(self.names)}
         return next((there[alias] for alias in aliases if alias in there), None)
 
     def require(self, wanted: str, aliases) -> str:
@@ -193,7 +193,7 @@ def _rows(path, body, delimiter, width):
     return list(zip(*rows)), [line for line, _ in body]
 
 
-def plain(name: str) -> str:
+def plain_name(name: str) -> str:
     """A column's name without case, unit and punctuation: `Acc_X [m/s^2]` and `acc_x_m_s2` are accx."""
     return re.sub('[^a-z0-9]', '', _UNIT.sub('', name).lower())
 

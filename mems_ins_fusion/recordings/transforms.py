@@ -29,7 +29,7 @@ def sensor_frame(message, kind: str) -> str:
     return attrgetter(_FRAME.get(kind, 'header.frame_id'))(message).lstrip('/')
 
 
-def places(bag: Bag, topics: Mapping[str, str]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def sensor_poses(bag: Bag, topics: Mapping[str, str]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """For each topic whose frame is connected to BASE: position of the sensor, (3,) m, and the rotation (3, 3) from its
     axes, in BASE.
 

@@ -84,12 +84,16 @@ class Answer:
 
     def html(self) -> Html:
         """The answer for the top of the page, like that of the console."""
-        parts = [(self.label, self.noted[:1]), ('error', self.cost[len(self.cost) // 2:][:1]),
+        parts = [(self.label, self.noted[:1]), ('error', self._error()),
                  ('trust', [self.trust] if self.trust else [])]
         lines = ''.join(f'<p><b>{name}:</b> {paragraph(text)[3:-4]}</p>' for name, texts in parts for text in texts)
         headline = Html(paragraph(self.headline).replace('<p>', '<p class="headline">', 1))
         return Html(f'<section id="answer" class="answer {self.grade}">\n{headline}\n{lines}{self._steps(self.first)}\n'
                     '</section>')
+
+    def _error(self) -> list[str]:
+        """The middle line of `cost`, unless the headline has its numbers."""
+        return [text for text in self.cost[len(self.cost) // 2:][:1] if text.split(';')[0] not in self.headline]
 
     def evidence(self) -> Html:
         """The whole answer for the page, folded."""

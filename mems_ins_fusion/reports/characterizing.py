@@ -28,7 +28,7 @@ _MEMORY = 0.3, 500.0
 
 
 @dataclass(frozen=True)
-class AtRest:
+class RestRecording:
     """A recording at rest. temperature: s and degrees Celsius, or None. begin: ns, of its first sample, None without
     stamps. found: findings of the checker. said: messages of the reader."""
 
@@ -40,13 +40,13 @@ class AtRest:
     said: list[str]
 
 
-def read_at_rest(path, values: dict, progress: Callable[[float], None] = lambda part: None) -> AtRest:
+def read_at_rest(path, values: dict, progress: Callable[[float], None] = lambda part: None) -> RestRecording:
     """Read a bag with the topics of the checked parameters `values`, or an .npz file. Raises InputError."""
     path = Path(path)
     if path.suffix == '.npz':
         if not path.is_file():
             raise InputError(f'{path} is not a file')
-        return AtRest(path.stem, read_npz(path), None, None, [], [])
+        return RestRecording(path.stem, read_npz(path), None, None, [], [])
     with collected_warnings() as said:
         recording = read_recording(path, values['imu_topic'], temperature_topic=values['temperature_topic'] or None,
                                    progress=progress, memory=Memory(values['memory_limit'], *_MEMORY))
@@ -56,11 +56,12 @@ def read_at_rest(path, values: dict, progress: Callable[[float], None] = lambda 
     temperature = recording.temperature
     if temperature is not None:
         temperature = (temperature.stamp - seen.stamp[0]) * 1e-9, temperature.celsius
-    return AtRest(recording.name, grid, temperature, int(seen.stamp[0]), check_recording(replace(recording, imu=imu)),
-                  said)
+    return RestRecording(recording.name, grid, temperature, int(seen.stamp[0]),
+                         check_recording(replace(recording, imu=imu)),
+                         said)
 
 
-def write_characterization(result: Characterization, given: AtRest, values: dict, folder: Path, known_as: str,
+def write_characterization(result: Characterization, given: RestRecording, values: dict, folder: Path, known_as: str,
                            pages: bool = True):
     """Write imu.yaml into `folder`, and with `pages` report.json, report.html and figures. Returns the answer.
 

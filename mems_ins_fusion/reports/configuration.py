@@ -44,7 +44,7 @@ def configuration_yaml(result: Configuration) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def story(result: Configuration) -> list[str]:
+def result_lines(result: Configuration) -> list[str]:
     """The results as lines."""
     values = result.values
     lines = [f'IMU {values["imu_topic"]} ({values["imu.acceleration_unit"]}, {values["imu.rate_unit"]}), '
@@ -56,11 +56,12 @@ def story(result: Configuration) -> list[str]:
         lines.append(f'mounting: roll {angles[0]:.1f} +- {sigma[0]:.1f} deg, pitch {angles[1]:.1f} +- {sigma[1]:.1f} '
                      f'deg, yaw {yaw}{" deg" if found.yaw_known else ""}')
         if found.offset is not None and found.offset.shown:
-            lines.append(f'fixes against the IMU\'s clock: {found.lag:.3f} +- {found.lag_sigma:.3f} s')
+            lines.append(f'fixes against the IMU\'s clock: {found.lag:.3f} +- {found.lag_sigma:.3f} s'
+                         f'{_not_set(values)}')
     return lines
 
 
-def in_short(result: Configuration) -> str:
+def summary_line(result: Configuration) -> str:
     """The same in one line for a console: units, angles, time offset. Only the yaw is shown with its sigma, which
     differs most between drives."""
     said, found = f'{result.values["imu.acceleration_unit"]}, {result.values["imu.rate_unit"]}', result.mounting
@@ -70,7 +71,13 @@ def in_short(result: Configuration) -> str:
             f'{yaw} +- {math.degrees(found.sigma[2]):.1f} deg' if found.yaw_known else 'not shown')
         if found.offset is not None and found.offset.shown:
             said += f'; fixes {abs(found.lag):.3f} +- {found.lag_sigma:.3f} s {"late" if found.lag > 0 else "early"}'
+            said += _not_set(result.values)
     return shorten(f'found: {said}')
+
+
+def _not_set(values: dict) -> str:
+    """That a time offset of less than two sigma is not in the file."""
+    return '' if values['gnss.time_offset'] else ' (not set)'
 
 
 def answer(result: Configuration, bags: list[str], output: str) -> Answer:
@@ -98,7 +105,7 @@ def answer(result: Configuration, bags: list[str], output: str) -> Answer:
 
 def configuration_page(result: Configuration, yaml_text: str, answered: Answer) -> str:
     """The page with the results and their data."""
-    summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(story(result))}'
+    summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(result_lines(result))}'
     return html.page('Parameters found in the recording', [
         section('Is the file ready?', answered.html(), *_figure(result),
                 settings_table({s.name: s.value for s in result.settings}, evidence=_evidence(result))),

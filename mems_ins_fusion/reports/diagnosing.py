@@ -20,7 +20,7 @@ from .verdict import certainly_wrong
 
 
 @dataclass(frozen=True)
-class Drive:
+class CheckedRecording:
     """A recording. path: of the bag. found: findings of the checker. wrong: those that make it unusable. said: messages
     of the reader."""
 
@@ -41,15 +41,16 @@ class Diagnosed:
     said: list[str]
 
 
-def read_drive(path, values: dict, progress: Callable[[float], None] = lambda part: None) -> Drive:
+def read_drive(path, values: dict, progress: Callable[[float], None] = lambda part: None) -> CheckedRecording:
     """The part of the recording `path` that the checked parameters `values` select. Raises the errors of `read_part`.
     """
     recording, said = read_part(path, values, progress)
     found = check(recording, values)
-    return Drive(str(path), recording, found, certainly_wrong(found, values), said)
+    return CheckedRecording(str(path), recording, found, certainly_wrong(found, values), said)
 
 
-def diagnose_drives(drives: Sequence[Drive], values: dict, kept: dict, folder: Path, known_as: str, pages: bool = True,
+def diagnose_drives(drives: Sequence[CheckedRecording], values: dict, kept: dict, folder: Path, known_as: str,
+                    pages: bool = True,
                     progress: Callable[[float, str], None] = lambda part, what: None,
                     params_files: Sequence[str] = ()) -> Diagnosed:
     """Diagnose the drives of one vehicle together and write the results into `folder`: report.json, with `pages`
@@ -81,6 +82,6 @@ def diagnose_drives(drives: Sequence[Drive], values: dict, kept: dict, folder: P
     return done
 
 
-def _of(drive: Drive, drives: Sequence[Drive]) -> str:
+def _of(drive: CheckedRecording, drives: Sequence[CheckedRecording]) -> str:
     """Name of the drive, if there are several."""
     return f'{drive.recording.name}: ' if len(drives) > 1 else ''

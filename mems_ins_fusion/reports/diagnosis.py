@@ -7,10 +7,10 @@ from dataclasses import asdict
 
 import numpy as np
 
+from ..diagnosis.error_changes import error_changes
 from ..diagnosis.estimate import Estimate, rounded
 from ..diagnosis.findings import Diagnosis, Finding
-from ..diagnosis.judgement import changes
-from ..diagnosis.measured import nearest
+from ..diagnosis.measured import outages_nearest
 from ..diagnosis.tracing import Candidate
 from ..evaluation.verdict import Verdict
 from ..parameters.params_file import yaml_value
@@ -23,8 +23,8 @@ from . import html
 from .answer import Answer, topics_of
 from .charts import charts
 from .colours import MODEL_NAMES
-from .effect_words import leaves
-from .layers import diagnosed_truth, diagnosis_layers, middle
+from .effect_words import remaining_cause
+from .layers import centre_of, diagnosed_truth, diagnosis_layers
 from .series import diagnosis_charts
 from .track import script, track
 from .verdict import change_text, held_text, verdict_json
@@ -52,11 +52,11 @@ def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dic
         'not_identifiable': list(not_identifiable(d)),
         'not_identifiable_reasons': not_identifiable(d),
         'comparison': d.comparison,
-        'goes_with': [asdict(rest) for rest in d.rest],
+        'goes_with': [asdict(one) for one in d.correlations],
         'noise_factors': d.noise,
         'noise_that_would_explain': d.explained,
         'use_corrected': d.better,
-        'changed_parameters': changed(d),
+        'changed_parameters': changed_parameters(d),
         'rounds': [[_candidate(c, d) for c in candidates] for candidates in d.rounds],
         'remarks': d.remarks,
         'warnings': list(warned),
@@ -101,7 +101,7 @@ def _effect(finding: Finding) -> dict:
         'seen': finding.seen,
         'drives': {name: {p: asdict(estimate) for p, estimate in found.items()}
                    for name, found in finding.drives.items()},
-        'drives_contradict': finding.apart,
+        'drives_contradict': finding.drives_contradict,
     }
 
 
@@ -114,7 +114,7 @@ def _drive(d: Diagnosis, drive: Diagnosis) -> dict:
         'after': _measured(drive, 'after', d.corrected),
         'unexplained': drive.unexplained,
         'comparison': drive.comparison,
-        'goes_with': [asdict(rest) for rest in drive.rest],
+        'goes_with': [asdict(one) for one in drive.correlations],
         'remarks': drive.remarks,
     }
 
@@ -157,7 +157,7 @@ def not_identifiable(d: Diagnosis) -> dict[str, str]:
     return found
 
 
-def changed(d: Diagnosis) -> dict:
+def changed_parameters(d: Diagnosis) -> dict:
     """The parameters that the diagnosis changed, with 4 significant digits as in `corrected.yaml`."""
     return {name: rounded_value(value) for name, value in d.corrected.items() if value != d.values[name]}
 
@@ -180,7 +180,7 @@ def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
     If nothing is proven to be better, the given values.
     """
     d = diagnosis
-    new = changed(d)
+    new = changed_parameters(d)
     if d.changed:
         new['fitted_to'] = sorted({*given.get('fitted_to', ()), *sketch(r.gnss for r in d.recordings)})
     known = parameters_of(given)
@@ -194,20 +194,21 @@ def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
     lines = [*_comment(said, ''), '/**:', '  ros__parameters:']
     for name, value in {**checked, **new}.items():
         if name in new:
-            lines += _comment(origin(d, name), '    ')
+            lines += _comment(origin_text(d, name), '    ')
         lines.append(f'    {name}: {yaml_value(value)}')
     # a file with an empty mapping would not be a params file
     lines += [] if checked or new else [f'    imu_topic: {yaml_value(d.values["imu_topic"])}']
     return '\n'.join(lines).replace('\N{PLUS-MINUS SIGN}', '+-') + '\n'  # plain ASCII, for all readers
 
 
-def origin(d: Diagnosis, name: str) -> str:
+def origin_text(d: Diagnosis, name: str) -> str:
     """Origin of the changed value of parameter `name`."""
     if name == 'fitted_to':
         return 'hashes of the recordings that the values were fitted to'
     before = yaml_value(rounded_value(d.values[name]))
     if name in d.noise:
-        return f'noise level with which this drive is predicted best: {d.noise[name]:.3g} times as configured, {before}'
+        return ('with this noise level the positions are predicted best; '
+                f'it is {d.noise[name]:.3g} times the configured one, {before}')
     text = '; '.join(parameters_text(f) for f in d.findings if f.added and name in f.changes)
     text = text or next((remark.rstrip('.') for remark in d.remarks if name in remark), 'changed with the effects')
     return f'{text}; before: {before}'
@@ -227,7 +228,7 @@ def parameters_text(finding: Finding) -> str:
     return f'{finding.name} ({values or "its parameters are not determined"})'
 
 
-def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
+def diagnosis_lines(diagnosis: Diagnosis, answered: Answer) -> list[str]:
     """The diagnosis in words: the whole answer, then the steps that led to it."""
     d = diagnosis
     lines = [*answered.lines(), '', f'{d.name}: {d.detections["before"].count} innovations', 'As configured: '
@@ -238,18 +239,18 @@ def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
     if d.changed:
         lines.append(f'{plots.STAGES["after"].capitalize()}: {" ".join(d.detections["after"].words())}')
     if hidden := not_identifiable(d):
-        lines.append(f'Cannot be seen in {this(d)}: {_hidden_text(hidden)}.')
+        lines.append(f'Cannot be seen in {subject(d)}: {_hidden_text(hidden)}.')
     return [*lines, *(drive_text(drive) for drive in d.drives)]
 
 
-def this(d: Diagnosis) -> str:
+def subject(d: Diagnosis) -> str:
     """The subject of the diagnosis in a sentence."""
     return 'these recordings' if d.drives else 'this recording'
 
 
 def drive_text(drive: Diagnosis) -> str:
     """One of several drives in a sentence."""
-    return f'{drive.name}: ' + ('; '.join(cost(drive)) or 'too short for outages') + '.'
+    return f'{drive.name}: ' + ('; '.join(outage_error_lines(drive)) or 'too short for outages') + '.'
 
 
 def _hidden_text(hidden: dict[str, str]) -> str:
@@ -271,23 +272,23 @@ def unexplained_text(d: Diagnosis) -> str:
     if not d.unexplained:
         return 'Nothing is left unexplained.'
     text = 'A part stays unexplained'
-    if not d.rest:
+    if not d.correlations:
         seen = 'change sign from fix to fix' if d.detections['search'].alternates else (
             'still last from one fix to the next')
         text = f'{text}: errors {seen}, and go with nothing that was recorded.'
     else:
         seen = ', or of the '.join(f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)'
-                                   for r in d.rest[:3])
+                                   for r in d.correlations[:3])
         text = f'{text}. What is left looks like an error of the {seen}.'
-    causes = [left for f in d.findings if f.added and (left := leaves(f.name, d.values))]
+    causes = [left for f in d.findings if f.added and (left := remaining_cause(f.name, d.values))]
     return f'{text} It may come from {", or ".join(causes)}.' if causes else text
 
 
-def cost(d: Diagnosis) -> list[str]:
+def outage_error_lines(d: Diagnosis) -> list[str]:
     """Errors in outages, as configured and with corrected.yaml, in words; and the share of them inside the ellipse."""
     held = {h.duration: held_text(h) for h in d.trust.held}
     if d.changed:
-        said = {c.duration: change_text(c, d.verdict.level) for c in changes(d.before, d.after)}
+        said = {c.duration: change_text(c, d.verdict.level) for c in error_changes(d.before, d.after)}
         said.pop(None, None)
     else:
         means = {o.duration: html.number(float(o.max_error.mean()), 2) for o in d.before.outages if len(o.begin)}
@@ -321,7 +322,7 @@ def _answered(d: Diagnosis, answered: Answer) -> html.Html:
 def _track(d: Diagnosis) -> html.Html:
     return track(diagnosis_layers(d), html.figure(
         plots.track(d), f'The drive from above, as configured{" and with corrected.yaml" if d.changed else ""}, with '
-        'all fixes and in the longest outages, each ending at x.'), middle(diagnosed_truth(d).reference))
+        'all fixes and in the longest outages, each ending at x.'), centre_of(diagnosed_truth(d).reference))
 
 
 def _over_time(d: Diagnosis, of: str = '') -> html.Html:
@@ -334,7 +335,7 @@ def _drives(d: Diagnosis) -> html.Html:
     for drive in d.drives:
         problem = drive.problem
         minutes = float(np.ptp(problem.stamp[problem.mask])) * 1e-9 / 60
-        before, after = (nearest(m) for m in (drive.before, drive.after))
+        before, after = (outages_nearest(m) for m in (drive.before, drive.after))
         numbers = [None] * 5 if before is None or after is None else [
             before.duration, *(float(o.max_error.mean()) for o in (before, after)),
             *(100 * float(o.within.mean()) for o in (before, after))]
@@ -350,7 +351,7 @@ def _drives(d: Diagnosis) -> html.Html:
 
 
 def _in_drive(drive: Diagnosis) -> html.Html:
-    return html.folded(f'Drive {drive.name}', html.bullets([*cost(drive), *drive.remarks]),
+    return html.folded(f'Drive {drive.name}', html.bullets([*outage_error_lines(drive), *drive.remarks]),
                        *_innovations(drive))
 
 
@@ -471,11 +472,12 @@ def _interval(row: dict) -> str:
 
 def _unexplained(d: Diagnosis) -> html.Html:
     parts = [unexplained_text(d)]
-    if d.rest:
+    if d.correlations:
         parts += ['An error of one sensor, or of the position, in proportion to something else would explain the rest '
                   'better. No effect of the library stands for it, so it is not corrected.',
                   html.table(('error of', 'goes with', 'RMS', '\N{PLUS-MINUS SIGN}', 'unit', 'gain', 'p, all tests '
-                              'counted'), [(r.where, r.what, r.rms, r.sigma, r.unit, r.gain, _p(r.p)) for r in d.rest],
+                              'counted'), [(r.where, r.what, r.rms, r.sigma, r.unit, r.gain, _p(r.p))
+                                           for r in d.correlations],
                              digits=3)]
     elif d.unexplained:
         parts.append('It goes with none of time, speed, acceleration, turn rate, heading and temperature (as far as '

@@ -15,8 +15,16 @@ from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.remarks import Remark, checked_text
 from .answer import BAD, GOOD, WARNING, YOURS, Answer, Step, cure, let_configure, topics_of
-from .diagnosis import capital, changed, cost, origin, rounded_value, this, unexplained_text
-from .effect_words import check, looks_the_same, size, what
+from .diagnosis import (
+    capital,
+    changed_parameters,
+    origin_text,
+    outage_error_lines,
+    rounded_value,
+    subject,
+    unexplained_text,
+)
+from .effect_words import description, looks_the_same, size_text, vehicle_check
 from .verdict import because, change_text, trust_text
 
 #: effects that are observed, not fitted, and whose text does not contain their size
@@ -35,17 +43,19 @@ def answer(diagnosis: Diagnosis, checked: list[Remark], output: str, bags: Seque
     found = [found_text(f, d) for f in sorted((f for f in d.findings if f.added), key=_left)] + settings_texts(d)
     shown = [shown_text(d.detections['before'])] if d.detections['before'].lacking else []
     # no warning for what is corrected; messages with a parameter come before those on innovations
-    said = [f for f in checked if f.severity != INFO and not set(f.settings) & set(changed(d))]
+    said = [f for f in checked if f.severity != INFO and not set(f.settings) & set(changed_parameters(d))]
     to_set, said = ([checked_text(f, topics_of(d.values)) for f in said if bool(f.settings) == wanted]
                     for wanted in (True, False))
     tried = [tried_text(f, d) for f in d.findings if not f.added]
     left = [unexplained_text(d)] if d.unexplained else []
     lacking = bool(d.detections['after' if d.changed else 'before'].lacking)
-    settings = [name for f in checked if f.severity != INFO for name in f.settings if name not in changed(d)]
+    settings = [name for f in checked if f.severity != INFO for name in f.settings if name not in changed_parameters(d)]
     return Answer(_grade(d, lacking), headline(d.verdict, d.changed, d.tried),
-                  [*out, *found, *to_set, *shown, *said], cost(d), _steps(d, output, bags, params_file, settings),
+                  [*out, *found, *to_set, *shown, *said], outage_error_lines(d),
+                  _steps(d, output, bags, params_file, settings),
                   trust_text(d.trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
-                  [*tried, *left, *(text for text in d.remarks if not any(name in text for name in changed(d)))],
+                  [*tried, *left, *(text for text in d.remarks
+                                    if not any(name in text for name in changed_parameters(d)))],
                   because(d.verdict))
 
 
@@ -71,15 +81,15 @@ def found_text(f: Finding, d: Diagnosis) -> str:
     """What was found: the effect, its certainty, what corrected.yaml does about it, and the gain."""
     also = f' {capital(looks_the_same(f.name))}.' if looks_the_same(f.name) and f.parameters else ''
     size_first = not f.seen or f.name in WITH_SIZE
-    said = f'{_size(f, d)}: {what(f.name)}' if size_first else f'{what(f.name)}: {f.seen}'
+    said = f'{_size(f, d)}: {description(f.name)}' if size_first else f'{description(f.name)}: {f.seen}'
     return f'{f.name}: {said}.{_group(f, d)}{also}{_change(f, d)}{_saves(f) if d.better else ""}'
 
 
 def settings_texts(d: Diagnosis) -> list[str]:
     """Other changes in corrected.yaml, and the reasons."""
     of_effects = {name for f in d.findings if f.added for name in f.changes} - set(d.noise)
-    return [f'corrected.yaml sets {name} to {_shown(value)}: {origin(d, name)}.'
-            for name, value in changed(d).items() if name not in of_effects]
+    return [f'corrected.yaml sets {name} to {_shown(value)}: {origin_text(d, name)}.'
+            for name, value in changed_parameters(d).items() if name not in of_effects]
 
 
 def _shown(value) -> str:
@@ -88,15 +98,15 @@ def _shown(value) -> str:
 
 def _group(f: Finding, d: Diagnosis) -> str:
     """Effects that it may be instead."""
-    others = [what(name) for name in f.group if name != f.name]
-    return f' ({capital(this(d))} cannot tell it from: {"; ".join(others)}.)' if others else ''
+    others = [description(name) for name in f.group if name != f.name]
+    return f' ({capital(subject(d))} cannot tell it from: {"; ".join(others)}.)' if others else ''
 
 
 def _size(f: Finding, d: Diagnosis) -> str:
     """Its size, or why it is not given; of an effect that was not fitted, the evidence."""
     if 'mechanization' in f.changes:
         return 'as the attitude of the strapdown mechanization shows'
-    sizes = ', '.join(size(f.name, name, estimate) for name, estimate in f.parameters.items())
+    sizes = ', '.join(size_text(f.name, name, estimate) for name, estimate in f.parameters.items())
     if not f.seen:
         why = '; '.join(f'{name.split(".")[1]}: {why}' for name, why in d.hidden.items()
                         if name.startswith(f'{f.name}.'))
@@ -111,7 +121,7 @@ def _beside(f: Finding, d: Diagnosis) -> str:
 
 def _change(f: Finding, d: Diagnosis) -> str:
     """The new values, and the earlier ones."""
-    new = changed(d)
+    new = changed_parameters(d)
     said = [f'{name} to {_shown(new[name])} (it was {_shown(d.values[name])})'
             for name in f.changes if name in new and name not in d.noise]
     return f' corrected.yaml sets {", ".join(said)}.' if said else ''
@@ -148,10 +158,10 @@ def shown_text(detection: Detection) -> str:
 def tried_text(f: Finding, d: Diagnosis) -> str:
     """Candidates that are no effect, or whose correction does not help."""
     if f.seen:
-        return f'{capital(what(f.name))}: {f.seen}. Nothing is changed: {f.reason}.'
-    sizes = ', '.join(size(f.name, name, estimate) for name, estimate in f.parameters.items())
+        return f'{capital(description(f.name))}: {f.seen}. Nothing is changed: {f.reason}.'
+    sizes = ', '.join(size_text(f.name, name, estimate) for name, estimate in f.parameters.items())
     sizes = f', {sizes}' if sizes else ''
-    return f'Looked at, and left alone: {what(f.name)} ({f.name}{sizes}): {f.reason}.{_group(f, d)}'
+    return f'Looked at, and left alone: {description(f.name)} ({f.name}{sizes}): {f.reason}.{_group(f, d)}'
 
 
 def headline(verdict: Verdict, changed: bool = False, tried: str = 'what was found') -> str:
@@ -181,18 +191,18 @@ def _steps(d: Diagnosis, output: str, bags: Sequence[str], params_file: str, set
         but = ', but do not believe its sigmas' if d.trust.answer == NO else ''
         steps.append(Step(f'Drive on with it{but}:', 'python -m mems_ins_fusion fusion_node --ros-args --params-file '
                           + shlex.quote(f'{output}/corrected.yaml')))
-    new = changed(d)
+    new = changed_parameters(d)
     for f in d.findings if d.changed else ():
         values = ', '.join(f'{name}: {_shown(new[name])}' for name in f.changes if name in new)
-        if f.added and check(f.name):
-            steps.append(Step(f'Check on the vehicle: {check(f.name)}' + (f' (corrected.yaml has {values}).' if values
-                                                                          else '.')))
-    if any(f.apart for f in d.findings):
+        if f.added and vehicle_check(f.name):
+            steps.append(Step(f'Check on the vehicle: {vehicle_check(f.name)}'
+                              + (f' (corrected.yaml has {values}).' if values else '.')))
+    if any(f.drives_contradict for f in d.findings):
         steps.append(Step('The drives contradict each other in what is left alone above: find out what was changed '
                           'between them, and diagnose them apart.'))
     if d.changed and not d.better:
-        steps.append(Step('What it changes is proven by fixes that it was not fitted to, or is what the recording asks '
-                          'for, and no error is larger for certain. Compare both on another drive:',
+        steps.append(Step('Each change has its reason above it in corrected.yaml, and no error is larger for certain. '
+                          'Compare both files on another drive:',
                           f'python -m mems_ins_fusion compare {shlex.quote(params_file)} '
                           f'{shlex.quote(f"{output}/corrected.yaml")} --bag ANOTHER_DRIVE --output compared'))
     if settings and not d.better:

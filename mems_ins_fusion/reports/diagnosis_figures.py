@@ -5,7 +5,7 @@ import numpy as np
 
 from ..diagnosis.detection import COMPONENTS, LAGS
 from ..diagnosis.findings import Diagnosis
-from ..diagnosis.measured import Measured
+from ..diagnosis.measured import MeasuredErrors
 from ..diagnosis.tracing import FAMILY_ERROR_RATE
 from ..evaluation.outages import Outages
 from .colours import AFTER, BEFORE, FITTED
@@ -109,17 +109,17 @@ def errors(diagnosis: Diagnosis):
     return figure
 
 
-def measured_stages(diagnosis: Diagnosis) -> dict[str, Measured]:
-    """The measured errors by stage, without a stage of noise levels if these are the given ones, and without the last
-    stage if nothing is better."""
-    before, fitted = diagnosis.before, diagnosis.fitted
-    stages = {'before': before}
-    if not np.array_equal(before.continuous.horizontal, fitted.continuous.horizontal):
-        stages['fitted'] = fitted
-    return stages | ({'after': diagnosis.after} if diagnosis.changed else {})
+def measured_stages(diagnosis: Diagnosis) -> dict[str, MeasuredErrors]:
+    """The measured errors by stage, without a stage of noise levels if these are the given ones or the only change, and
+    without the last stage if nothing is better."""
+    stages = {'before': diagnosis.before} | ({'after': diagnosis.after} if diagnosis.changed else {})
+    fitted = diagnosis.fitted.continuous.horizontal
+    if any(np.array_equal(fitted, stage.continuous.horizontal) for stage in stages.values()):
+        return stages
+    return {'before': diagnosis.before, 'fitted': diagnosis.fitted, **stages}
 
 
-def _longest(measured: Measured) -> Outages | None:
+def _longest(measured: MeasuredErrors) -> Outages | None:
     return next((o for o in reversed(measured.outages) if len(o.growth)), None)
 
 

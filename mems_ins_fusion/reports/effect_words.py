@@ -11,12 +11,12 @@ from ..diagnosis.estimate import Estimate, with_sigma
 from ..effects.registry import effect_called
 
 
-def what(name: str) -> str:
+def description(name: str) -> str:
     """The effect `name` in words."""
     return effect_called(name).in_words or name.replace('_', ' ')
 
 
-def check(name: str) -> str:
+def vehicle_check(name: str) -> str:
     """What to check on the vehicle for the effect `name`; '' if unknown."""
     return effect_called(name).to_check
 
@@ -26,13 +26,13 @@ def looks_the_same(name: str) -> str:
     return effect_called(name).looks_the_same
 
 
-def leaves(name: str, values: Mapping) -> str:
+def remaining_cause(name: str, values: Mapping) -> str:
     """What a correction of the effect `name` may leave of its cause; '' if the filter has a complete model of it.
     values: checked parameters."""
     return effect_called(name).leaves(values)
 
 
-def size(name: str, parameter: str, estimate: Estimate) -> str:
+def size_text(name: str, parameter: str, estimate: Estimate) -> str:
     """The size of a parameter of the effect `name` in words, angles in degrees and ratios in percent."""
     words = effect_called(name).sizes.get(parameter)
     if words is None or estimate.value is None:

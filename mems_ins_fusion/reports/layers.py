@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..diagnosis.findings import Diagnosis
-from ..diagnosis.measured import Measured
+from ..diagnosis.measured import MeasuredErrors
 from ..evaluation.comparison import Comparison, truth_of
 from ..evaluation.metrics import Errors, Truth, lever_arm_north_east
 from ..filter.measurements.position import is_fix
@@ -23,7 +23,7 @@ class Ground:
     """Positions as north and east of the middle of the recording, m."""
 
     def __init__(self, reference: Reference):
-        self.datum = middle(reference)
+        self.datum = centre_of(reference)
         self.stamp = reference.stamp
         self.north, self.east = self(reference)
 
@@ -43,7 +43,7 @@ class Ground:
         return north + arm_north, east + arm_east
 
 
-def middle(reference: Reference) -> np.ndarray:
+def centre_of(reference: Reference) -> np.ndarray:
     """Latitude, longitude (rad) and height (m) in the middle of the recording."""
     longitude = near(reference.longitude, reference.longitude[0])
     return np.array([np.median(reference.latitude), np.median(longitude), np.median(reference.height)])
@@ -121,7 +121,7 @@ def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
     return layers
 
 
-def _longest(measured: Measured):
+def _longest(measured: MeasuredErrors):
     return next((o for o in reversed(measured.outages) if len(o.begin)), None)
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from ..configuration.check import check
-from ..diagnosis.applying import driven
-from ..diagnosis.quantity import CHANGED, Quantity
-from ..diagnosis.watch import Watch, watched
-from ..evaluation.comparison import Comparison, ReplayError, compare, cut
+from ..diagnosis.applying import live_output
+from ..diagnosis.quantity import CHANGED, FindingState
+from ..diagnosis.watch import RecordingWatch, live_messages
+from ..evaluation.comparison import Comparison, ReplayError, compare, time_span
 from ..filter.config import FilterConfig
 from ..filter.measurements.registry import further_inputs, named_parameters
 from ..filter.runs.imus import as_one
@@ -94,24 +94,24 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
                         part(0.55 + 0.05 * done, 'diagnosing')
                     if values['diagnosis.online'] == 'apply':
                         driven_to = folder / (f'{name}_{DRIVEN}' if len(values['bag']) > 1 else DRIVEN)
-                        watch = Watch(recording, values, watching)
+                        watch = RecordingWatch(recording, values, watching)
                         changes = _drive(driven_to, comparisons[name], values, watch)
                         told = watch.said + changes
                     else:
-                        told = watched(recording, values, watching)
+                        told = live_messages(recording, values, watching)
                 online += [online_row(quantity, name, int(recording.imu.stamp[0])) for quantity in told]
         content, answers = _write(folder, comparisons, findings, said, online, values, timing, progress,
                                   Path(known_as or values['output_dir']))
     return Replay(Path(values['output_dir']), content, comparisons, answers, findings)
 
 
-def _drive(path: Path, comparison: Comparison, values: dict, watch: Watch) -> list[Quantity]:
+def _drive(path: Path, comparison: Comparison, values: dict, watch: RecordingWatch) -> list[FindingState]:
     """Write the output of a live node with the findings while driving; if it changed its parameters."""
-    run = driven(comparison.recording, values, watch, origin(comparison, values))
-    kept = trajectories.every(run.stamp, trajectories.POSE_INTERVAL)
+    run = live_output(comparison.recording, values, watch, origin(comparison, values))
+    kept = trajectories.first_in_each_slot(run.stamp, trajectories.POSE_INTERVAL)
     rows = run.odometry[kept]
     trajectories.write_tum(path, run.stamp[kept], rows[:, POSITION:ORIENTATION], rows[:, ORIENTATION:POSE_COVARIANCE])
-    return [Quantity(handover.stamp, 'filter', CHANGED, {}, text=handover.text, applied=True)
+    return [FindingState(handover.stamp, 'filter', CHANGED, {}, text=handover.text, applied=True)
             for handover in run.handovers]
 
 
@@ -139,7 +139,7 @@ def read_part(path, values: dict, progress: Callable[[float], None]) -> tuple[Re
         recording = _read_whole(path, values, progress)
     recording = replace(recording, imu=in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit']))
     recording, notices = as_one(recording, values)
-    return cut(recording, values['start'], values['stop']), [*said, *notices]
+    return time_span(recording, values['start'], values['stop']), [*said, *notices]
 
 
 def _read_whole(path, values: dict, progress) -> Recording:

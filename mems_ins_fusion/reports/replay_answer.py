@@ -19,7 +19,7 @@ from ..evaluation.verdict import (
     Verdict,
     change_in_outages,
     decide,
-    trusted,
+    trust_in_sigmas,
 )
 from ..recordings.checker import INFO, Remark
 from ..recordings.remarks import checked_text
@@ -56,7 +56,7 @@ def best_model(comparison: Comparison, configured: str) -> str:
     return min(error, key=error.get)
 
 
-def judged(comparison: Comparison, remarks: list[Remark], values: dict, where: str = '') -> Verdict:
+def replay_verdict(comparison: Comparison, remarks: list[Remark], values: dict, where: str = '') -> Verdict:
     """Whether the filter, with its best model, is better in outages than keeping the last velocity. where: name of the
     recording, if there are several."""
     wrong = tuple(checked_text(f, topics_of(values)) for f in certainly_wrong(remarks, values))
@@ -89,7 +89,7 @@ def answer(comparison: Comparison, remarks: list[Remark], values: dict, bag: str
     # points with a parameter to set come first
     told = sorted((f for f in remarks if f.severity != INFO), key=lambda f: not f.settings)
     said = [checked_text(f, topics_of(values)) for f in told]
-    verdict, trust = judged(comparison, remarks, values), trusted(consistencies(comparison, values))
+    verdict, trust = replay_verdict(comparison, remarks, values), trust_in_sigmas(consistencies(comparison, values))
     wrong = [*said, *_refused(comparison, best)]
     if trust.answer == NO and verdict.answer == WORSE:  # otherwise it is in the headline
         wrong.insert(0, f'Its sigmas are too small: {too_small_text(trust)}.')

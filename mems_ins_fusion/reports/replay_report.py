@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from .. import __version__
-from ..diagnosis.quantity import Quantity
+from ..diagnosis.quantity import FindingState
 from ..evaluation.comparison import Comparison, outage_row, run_row
-from ..evaluation.verdict import NOT_USABLE, decide, trusted
+from ..evaluation.verdict import NOT_USABLE, decide, trust_in_sigmas
 from ..parameters.table import defaults as default_parameters
 from ..recordings.remarks import checked_text
 from ..recordings.sketch import fitted_to
@@ -20,8 +20,8 @@ from . import replay_figures as drawings
 from .answer import Answer, topics_of
 from .charts import charts
 from .html import bullets, figure, folded, image_bytes, number, paragraph, section, table
-from .layers import middle, replay_layers
-from .replay_answer import best_model, consistencies, judged, sentences
+from .layers import centre_of, replay_layers
+from .replay_answer import best_model, consistencies, replay_verdict, sentences
 from .replay_figures import model_name
 from .series import replay_charts
 from .settings import settings_table
@@ -64,7 +64,7 @@ def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str,
     }
 
 
-def online_row(quantity: Quantity, name: str, begin: int) -> dict:
+def online_row(quantity: FindingState, name: str, begin: int) -> dict:
     """One entry of `online` in `report.json`: a finding at the time at which it changed. begin: ns."""
     return {'recording': name, 'time_s': (quantity.time - begin) * 1e-9, 'name': quantity.name, 'state': quantity.state,
             'parameters': {n: {'value': e.value, 'sigma': e.sigma, 'unit': e.unit}
@@ -86,12 +86,12 @@ def _recording(name: str, comparison: Comparison, findings: list, said: list[str
 def _verdict(comparisons: dict[str, Comparison], values: dict, findings: dict[str, list]) -> dict:
     """The verdict on all recordings together."""
     several = len(comparisons) > 1
-    each = [judged(c, findings[name], values, name if several else '') for name, c in comparisons.items()]
+    each = [replay_verdict(c, findings[name], values, name if several else '') for name, c in comparisons.items()]
     verdict = decide(change for v in each for change in v.changes)
     verdict = replace(verdict, fitted_here=any(v.fitted_here for v in each))
     why = tuple(text for v in each for text in v.why)
     verdict = replace(verdict, answer=NOT_USABLE, why=why) if why else verdict
-    return verdict_json(verdict, trusted([c for of in comparisons.values() for c in consistencies(of, values)]))
+    return verdict_json(verdict, trust_in_sigmas([c for of in comparisons.values() for c in consistencies(of, values)]))
 
 
 def _notices(comparison: Comparison) -> list[str]:
@@ -143,7 +143,7 @@ def report_page(comparisons: dict[str, Comparison], values: dict, content: dict,
         names = {model: model_name(comparison, model) for model in comparison.models}
         sections += [
             section(f'Is the filter good here?{of}', answers[name].html(),
-                    track(replay_layers(comparison, best, names), still, middle(comparison.truth.reference)),
+                    track(replay_layers(comparison, best, names), still, centre_of(comparison.truth.reference)),
                     _glance(comparison, content, name)),
             answers[name].evidence(),
             folded(f'Over time{of}', charts(replay_charts(comparison, best), 'estimates and signals over time')),

@@ -23,7 +23,7 @@ from ..evaluation.verdict import (
     change_in_outages,
     change_with_fixes,
     decide,
-    trusted,
+    trust_in_sigmas,
 )
 from ..guard import one_line
 from ..samples import SECOND
@@ -39,7 +39,7 @@ class CompareError(InputError):
 
 
 @dataclass(frozen=True)
-class Series:
+class ErrorSeries:
     """Errors by time: stamp (n,) ns, error (n,) m, and east and north of truth and estimate, (n, 2) m. independent:
     whether the truth is more than the fixes that the filter was given. Of outages: the begin and the largest error,
     whether the 95 % ellipse contained the truth, and the mean normalized squared error, (n,)."""
@@ -66,8 +66,8 @@ class Result:
     name: str
     recordings: list[str]
     models: list[str]
-    runs: dict[tuple, Series]
-    outages: dict[tuple, Series]
+    runs: dict[tuple, ErrorSeries]
+    outages: dict[tuple, ErrorSeries]
     fitted_here: tuple[str, ...] = ()
 
 
@@ -135,20 +135,20 @@ def _tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return np.array(stamps, dtype=np.int64), np.array(positions).reshape(-1, 2)
 
 
-def _series(truth, estimate, delay: int, independent: bool) -> Series:
+def _series(truth, estimate, delay: int, independent: bool) -> ErrorSeries:
     stamp, a, b = np.intersect1d(truth[0], estimate[0], return_indices=True)
     positions = truth[1][a], estimate[1][b]
-    return Series(stamp + delay, np.hypot(*(positions[1] - positions[0]).T), *positions, independent=independent)
+    return ErrorSeries(stamp + delay, np.hypot(*(positions[1] - positions[0]).T), *positions, independent=independent)
 
 
-def _outages(path: Path, offset: int) -> dict[tuple, Series]:
+def _outages(path: Path, offset: int) -> dict[tuple, ErrorSeries]:
     found: dict[tuple, list] = {}
     with open(path, encoding='ascii', newline='') as file:
         for row in csv.DictReader(file):
             found.setdefault((row['model'], float(row['duration_s'])), []).append(
                 (int(row['begin_ns']) + offset, float(row['max_error_m']), row['within_95'] == '1', float(row['nees'])))
-    return {key: Series(np.array([r[0] for r in rows], dtype=np.int64), np.array([r[1] for r in rows]),
-                        within=np.array([r[2] for r in rows]), nees=np.array([r[3] for r in rows]))
+    return {key: ErrorSeries(np.array([r[0] for r in rows], dtype=np.int64), np.array([r[1] for r in rows]),
+                             within=np.array([r[2] for r in rows]), nees=np.array([r[3] for r in rows]))
             for key, rows in found.items()}
 
 
@@ -174,7 +174,7 @@ def rows_of(first: Result, second: Result) -> list[Row]:
     return found
 
 
-def _row(recording, models, kind, size, mine: Series, theirs: Series) -> Row | None:
+def _row(recording, models, kind, size, mine: ErrorSeries, theirs: ErrorSeries) -> Row | None:
     if not len(mine.stamp) or not len(theirs.stamp):
         return None
     _, a, b = np.intersect1d(mine.stamp, theirs.stamp, return_indices=True)
@@ -192,7 +192,7 @@ def _row(recording, models, kind, size, mine: Series, theirs: Series) -> Row | N
                (float(np.median(x)), float(np.median(y))), within, len(a) if enough else 0, change, decides)
 
 
-def judged(first: Result, second: Result, rows: list[Row]) -> Verdict:
+def comparison_verdict(first: Result, second: Result, rows: list[Row]) -> Verdict:
     """Whether the second is better than the first, by the models that represent them."""
     several, judged_by = len(first.recordings) > 1, (first.models[0], second.models[0])
     changes = [row.change if several else replace(row.change, where='') for row in rows
@@ -206,15 +206,15 @@ def judged(first: Result, second: Result, rows: list[Row]) -> Verdict:
 def trust_of(result: Result) -> Trust:
     """Whether the sigmas of a replay are right, by its outages."""
     model = result.models[0]
-    return trusted([Consistency(duration, s.nees, s.within, s.apart(duration))
-                    for (recording, name, duration), s in result.outages.items()
-                    if name == model and recording == result.recordings[0]])
+    return trust_in_sigmas([Consistency(duration, s.nees, s.within, s.apart(duration))
+                            for (recording, name, duration), s in result.outages.items()
+                            if name == model and recording == result.recordings[0]])
 
 
 def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
     """Which of the two is better, with the interval of the difference."""
     names = first.name, second.name
-    verdict = judged(first, second, rows)
+    verdict = comparison_verdict(first, second, rows)
     wrong = [_why_unpaired(rows)] if not all(row.count for row in rows) else []
     wrong += [f'{r.name} was fitted to this recording, where a smaller error proves nothing. Compare on another drive.'
               for r in (first, second) if r.fitted_here]
@@ -260,9 +260,9 @@ def _what(row: Row) -> str:
 
 def report(first: Result, second: Result, rows: list[Row], answered: Answer) -> dict:
     """The content of `report.json`."""
-    level = judged(first, second, rows).level
+    level = comparison_verdict(first, second, rows).level
     return {'tool': 'compare', 'version': __version__, 'first': first.name, 'second': second.name,
-            'answer': answered.json(), 'verdict': verdict_json(judged(first, second, rows)),
+            'answer': answered.json(), 'verdict': verdict_json(comparison_verdict(first, second, rows)),
             'rows': [{'recording': r.recording, 'models': list(r.models), 'update_interval_s': r.interval or None,
                       'outage_duration_s': r.duration, 'paired': r.count, 'rms_m': list(r.rms),
                       'median_m': list(r.median), 'within_95_percent': list(r.within),
@@ -279,7 +279,7 @@ def _better(row: Row, level: float, first: Result, second: Result) -> str | None
 def report_page(first: Result, second: Result, rows: list[Row], answered: Answer) -> str:
     """The content of `report.html`."""
     names = first.name, second.name
-    level = judged(first, second, rows).level
+    level = comparison_verdict(first, second, rows).level
     table = html.table(
         ('recording and model', 'error', 'compared', 'A, m', 'B, m', 'B against A, 95 %', 'A, median, m',
          'B, median, m',
@@ -287,8 +287,8 @@ def report_page(first: Result, second: Result, rows: list[Row], answered: Answer
         [(f'{r.recording}, ' + ' / '.join(dict.fromkeys(colours.MODEL_NAMES[m] for m in r.models)), _what(r),
           r.count or None, *_numbers(r), _span(r, level), *r.median,
           '–' if None in r.within else ' / '.join(number(share, 2) for share in r.within)) for r in rows],
-        f'A: {names[0]}. B: {names[1]}. Over the epochs (root mean square), or outages (mean of the largest error), '
-        'that both have.', 3)
+        f'A: {names[0]}. B: {names[1]}. Errors: root mean square over the epochs that both have, or mean of the '
+        'largest error in the outages that both have.', 3)
     drawn = layers(first, second, rows)
     return html.page(f'{names[0]} against {names[1]}', [
         html.section('Which is better?', answered.html(), *([track(drawn, _still(drawn))] if drawn else []), table),
@@ -346,7 +346,7 @@ def _still(drawn: list[Layer]) -> html.Html:
 
 def table_text(first: Result, second: Result, rows: list[Row]) -> str:
     """The rows as text for a terminal."""
-    level = judged(first, second, rows).level
+    level = comparison_verdict(first, second, rows).level
     lines = [f'A: {first.name}', f'B: {second.name}', f"{'error':<46}{'A':>11}{'B':>11}  B against A, 95 %"]
     for r in rows:
         model = ' / '.join(dict.fromkeys(r.models))

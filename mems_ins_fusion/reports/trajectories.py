@@ -95,7 +95,7 @@ _STRAPDOWN_SIGMAS = (0, 1, 3, 4, 8)
 def write_csv(path: Path, run: Run) -> None:
     """`run` as a table, a row every POSE_INTERVAL s: base_link, forward-right-down in north-east-down, yaw clockwise
     from north; time in s since the epoch."""
-    at = every(run.stamp, POSE_INTERVAL)
+    at = first_in_each_slot(run.stamp, POSE_INTERVAL)
     sigma = run.sigma[at][:, _PLANAR_SIGMAS if run.config.mechanization == PLANAR else _STRAPDOWN_SIGMAS]
     attitude = np.degrees(np.column_stack([run.roll, run.pitch, run.yaw])[at])
     rows = np.column_stack([_degrees(run, at), run.height[at], run.velocity[at], attitude, sigma[:, :4],
@@ -115,7 +115,7 @@ def _degrees(track: Run | Reference, at: np.ndarray) -> np.ndarray:
 
 def write_gpx(path: Path, run: Run, name: str) -> None:
     """`run` as a track of GPX 1.1, a point every MAP_INTERVAL s."""
-    at = every(run.stamp, MAP_INTERVAL)
+    at = first_in_each_slot(run.stamp, MAP_INTERVAL)
     points = [f'<trkpt lat="{latitude:.8f}" lon="{longitude:.8f}"><ele>{height:.2f}</ele><time>{_utc(stamp)}</time>'
               '</trkpt>' for (latitude, longitude), height, stamp in zip(
                   _degrees(run, at), run.height[at], run.stamp[at].tolist())]
@@ -133,7 +133,7 @@ def _utc(stamp: int) -> str:
 
 def write_kml(path: Path, run: Run, name: str) -> None:
     """`run` as a line of KML 2.2 on the ground, a point every MAP_INTERVAL s."""
-    at = every(run.stamp, MAP_INTERVAL)
+    at = first_in_each_slot(run.stamp, MAP_INTERVAL)
     points = ' '.join(f'{longitude:.8f},{latitude:.8f},{height:.2f}' for (latitude, longitude), height in zip(
         _degrees(run, at), run.height[at]))
     path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2">\n<Document>'
@@ -149,7 +149,7 @@ def _orientation(roll, pitch, yaw) -> np.ndarray:
                             cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy])
 
 
-def every(stamp: np.ndarray, interval: float) -> np.ndarray:
+def first_in_each_slot(stamp: np.ndarray, interval: float) -> np.ndarray:
     """Indices of the first stamp (ns) in each slot of `interval` s: the same slots for every track."""
     return np.flatnonzero(np.diff(stamp // round(interval * 1e9), prepend=-1))
 
@@ -168,7 +168,7 @@ def write_geojson(path: Path, tracks: dict[str, Run | Reference]) -> None:
     """`tracks` as lines in WGS-84 (RFC 7946), one for each, named; a point every MAP_INTERVAL s."""
     lines = []
     for name, track in tracks.items():
-        at = every(track.stamp, MAP_INTERVAL)
+        at = first_in_each_slot(track.stamp, MAP_INTERVAL)
         points = np.round(_degrees(track, at)[:, ::-1], 8)
         lines.append({'type': 'Feature', 'properties': {'name': name},
                       'geometry': {'type': 'LineString', 'coordinates': points.tolist()}})

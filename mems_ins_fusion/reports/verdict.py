@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 
 from ..configuration.remaining import TIME_OFFSET, Remaining
-from ..evaluation.verdict import NO, TOO_CAREFUL, YES, Change, Held, Scale, Trust, Verdict
+from ..evaluation.verdict import NO, TOO_CAREFUL, YES, Change, EllipseCount, ErrorOverSigma, Trust, Verdict
 from ..recordings.remarks import ERROR, Remark
 from .html import number
 
@@ -37,8 +37,8 @@ def where_text(change: Change) -> str:
 
 
 def change_text(change: Change, level: float, before_is: str = '') -> str:
-    """A change with its interval: the error, after instead of before, and the 95 % interval of the ratio. before_is:
-    name of the first one, where it is not obvious."""
+    """A change with its interval: the error, after instead of before, and the 95 % interval of the difference.
+    before_is: name of the first one, where it is not obvious."""
     before, after = (f'{number(v, _digits(change))} m' for v in (change.before, change.after))
     said = f'{where_text(change)} the error is {after} instead of {before}{f" {before_is}" if before_is else ""}'
     interval = change.interval(level)
@@ -117,13 +117,13 @@ def too_small_text(trust: Trust) -> str:
     return held_text(trust.shown) if trust.scale is None else scale_text(trust.scale)
 
 
-def held_text(held: Held) -> str:
+def held_text(held: EllipseCount) -> str:
     """Share of the errors inside the ellipse."""
     return (f'the 95 % ellipse held the truth in {held.held} of {held.count} outages of {held.duration:g} s '
             f'({100 * held.low:.0f} to {100 * held.high:.0f} %)')
 
 
-def scale_text(scale: Scale) -> str:
+def scale_text(scale: ErrorOverSigma) -> str:
     """Ratio of the errors to the sigmas."""
     where = 'with fixes' if scale.duration is None else f'in {scale.duration:g} s without fixes'
     return f'errors {where} are {scale.value:.2g} sigma RMS ({scale.low:.2g} to {scale.high:.2g}; 1 is right)'

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..effects.base import Effect
-from .agreement import by_drive, contradicted, said
+from .agreement import by_drive, contradicted, drives_text
+from .error_changes import compared, objection
 from .estimate import PLAIN, Estimate, widened
 from .exact import sigmas
 from .findings import Finding
-from .fit import Model, fit, refined
+from .fit import FittedModel, fit, fitted_further
 from .held_out import HeldOut, certainly_better, gain_of, held_out
-from .judgement import compared, objection
-from .known import Known
-from .measured import Measured
+from .known import SearchState
+from .measured import MeasuredErrors
 from .noise import calibrated, noise_unknowns
 from .plausible import implausible
 from .tracing import Candidate, also_determined, determined, effect_unknowns, refined_unknowns
@@ -35,23 +35,23 @@ OF_FIXES = 'gnss_time_offset', 'gnss_latency', 'gnss_lag'
 
 
 @dataclass(frozen=True)
-class Judged:
+class TestedCandidate:
     """A candidate with its proof. model: with it. parameters: its sizes. hidden: by name, why a parameter is not
     determined. proof, errors: on held-out data. against: in words, why it is not added; empty if it is. drives: its
-    sizes in each drive. apart: whether these contradict each other."""
+    sizes in each drive. drives_contradict: whether these contradict each other."""
 
     candidate: Candidate
-    model: Model
+    model: FittedModel
     parameters: dict[str, Estimate]
     hidden: dict[str, str]
     proof: HeldOut
-    errors: Measured
+    errors: MeasuredErrors
     against: str
     drives: dict[str, dict[str, Estimate]] = field(default_factory=dict)
-    apart: bool = False
+    drives_contradict: bool = False
 
 
-def with_candidate(known: Known, candidate: Candidate, view: np.ndarray, trials: TrialRuns) -> Model:
+def with_candidate(known: SearchState, candidate: Candidate, view: np.ndarray, trials: TrialRuns) -> FittedModel:
     """The present model with one candidate, fitted from the unknowns `view` with few iterations, for a comparison."""
     model = known.model
     if candidate.effect.replaces_model(candidate.values()):
@@ -70,27 +70,28 @@ def with_candidate(known: Known, candidate: Candidate, view: np.ndarray, trials:
     return max(fits, key=lambda m: m.likelihood(known.problem.mask))
 
 
-def judge(known: Known, candidate: Candidate, model: Model, trials: TrialRuns) -> Judged:
+def tested_on_held_out(known: SearchState, candidate: Candidate, model: FittedModel,
+                       trials: TrialRuns) -> TestedCandidate:
     """The proof of `candidate`, which `model` contains, on data that it was not fitted to."""
     first = len(known.model.unknowns)
     if model.problem is not known.problem:
         # another mechanization has no parameter of its own that could have been fitted to the data
-        model = refined(model)
+        model = fitted_further(model)
         proof = gain_of(known.problem, known.model.residual, model.residual)
         alone = fit(known.problem.moved(known.model.unknowns, known.model.x), candidate.unknowns, candidate.theta)
         diluted = max(p.diluted for p in known.problem.each)
         parameters = {name: _diluted(e, diluted) for name, e in _estimates(candidate, alone, 0, alone.sigma()).items()}
         errors = trials.errors([model.problem.corrected(model.unknowns, model.x)])
         against = objection(proof, compared(known.errors, errors))
-        return Judged(candidate, model, parameters, {}, proof, errors, against)
-    model = refined(model)
+        return TestedCandidate(candidate, model, parameters, {}, proof, errors, against)
+    model = fitted_further(model)
     # an effect that only one of the drives has can be undetermined in all of them together
     drives, apart = by_drive_of(model, candidate.effect, known.noise, range(first, len(model.unknowns)))
-    contradiction = f'the drives contradict each other ({said(drives)})' if apart else ''
+    contradiction = f'the drives contradict each other ({drives_text(drives)})' if apart else ''
     model, hidden = _completed(known, candidate, prune(model, first))
     if len(model.unknowns) == first:
-        return Judged(candidate, known.model, {}, {}, HeldOut(0.0, 1.0, []), known.errors,
-                      contradiction or 'not determined once all is fitted together', drives, apart)
+        return TestedCandidate(candidate, known.model, {}, {}, HeldOut(0.0, 1.0, []), known.errors,
+                               contradiction or 'not determined once all is fitted together', drives, apart)
     sigma = sigmas(model, trials.beside.track, trials.origin.given)
     parameters = {name: e for name, e in _estimates(candidate, model, first, sigma).items()
                   if f'{candidate.name}.{name}' not in hidden}
@@ -103,12 +104,12 @@ def judge(known: Known, candidate: Candidate, model: Model, trials: TrialRuns) -
     # where the recordings show for certain that it is there, the sigma of the fit alone is enough
     plain = model.sigma() if candidate.name in trials.certain else sigma
     against = (implausible(candidate.name, parameters, trials.shown) or _of_another_clock(known, candidate, trials)
-               or contradiction or small(model, range(first, len(model.unknowns)), plain)
+               or contradiction or too_small_effect(model, range(first, len(model.unknowns)), plain)
                or objection(proof, compared(known.errors, errors)))
-    return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
+    return TestedCandidate(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
 
 
-def _of_another_clock(known: Known, candidate: Candidate, trials: TrialRuns) -> str:
+def _of_another_clock(known: SearchState, candidate: Candidate, trials: TrialRuns) -> str:
     """In words, why a time offset of the fixes is not reliable: another input is late, which makes fixes appear early.
     Empty if none is."""
     added = [finding.name for finding in known.findings if finding.added]
@@ -117,7 +118,7 @@ def _of_another_clock(known: Known, candidate: Candidate, trials: TrialRuns) -> 
         if late else ''
 
 
-def small(model: Model, own: Sequence[int], sigma: np.ndarray) -> str:
+def too_small_effect(model: FittedModel, own: Sequence[int], sigma: np.ndarray) -> str:
     """In words, that an effect is too small: none of its unknowns `own` (indices) is PLAIN times its sigma, or a size
     or a time is not larger than its sigma. Empty if it is not. sigma: (p,), of all unknowns.
 
@@ -134,7 +135,7 @@ def small(model: Model, own: Sequence[int], sigma: np.ndarray) -> str:
     return ''
 
 
-def sizes_of(finding: Finding, model: Model, sigma: np.ndarray) -> dict[str, Estimate]:
+def sizes_with_sigma(finding: Finding, model: FittedModel, sigma: np.ndarray) -> dict[str, Estimate]:
     """The parameters of an effect that are in `model`; sigma: (p,) of all its unknowns."""
     return widened({u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
                     for u, x, s in zip(model.unknowns, model.x, sigma)
@@ -152,7 +153,7 @@ def _diluted(estimate: Estimate, part: float) -> Estimate:
     return replace(estimate, sigma=sigma)
 
 
-def by_drive_of(model: Model, effect: Effect, noise: int, own: Sequence[int]):
+def by_drive_of(model: FittedModel, effect: Effect, noise: int, own: Sequence[int]):
     """Estimates of the unknowns `own` (indices) from each of several drives, and whether they contradict each other."""
     units = {p.name: p.unit for p in effect.traced}
     own = [i for i in own if model.unknowns[i].factor_on is None and not model.unknowns[i].variance]
@@ -161,7 +162,7 @@ def by_drive_of(model: Model, effect: Effect, noise: int, own: Sequence[int]):
     return drives, contradicted(model, noise, own)
 
 
-def prune(trial: Model, first: int) -> Model:
+def prune(trial: FittedModel, first: int) -> FittedModel:
     """`trial` without those of its unknowns from `first` on that are not determined, or not different from zero.
 
     Variances and factors (`_refined`) stay: they are determined together with the other unknowns of their effect.
@@ -175,7 +176,7 @@ def prune(trial: Model, first: int) -> Model:
     return fit(trial.problem, [u for u, k in zip(trial.unknowns, kept) if k], trial.x[kept], REFITTED)
 
 
-def _completed(known: Known, candidate: Candidate, trial: Model) -> tuple[Model, dict[str, str]]:
+def _completed(known: SearchState, candidate: Candidate, trial: FittedModel) -> tuple[FittedModel, dict[str, str]]:
     """`trial` with further parameters of its effect that are determined now, with noise levels fitted beside it; and
     why others are not."""
     present = {u.name for u in trial.unknowns}
@@ -189,7 +190,7 @@ def _completed(known: Known, candidate: Candidate, trial: Model) -> tuple[Model,
     return _refined(known, candidate.effect, trial) if candidate.effect.refined and own else (trial, {})
 
 
-def _refined(known: Known, effect: Effect, trial: Model) -> tuple[Model, dict[str, str]]:
+def _refined(known: SearchState, effect: Effect, trial: FittedModel) -> tuple[FittedModel, dict[str, str]]:
     """`trial` with those parameters estimated, too, that were fixed at several values so far (`Effect.tried`), from
     each of these values; and why parameters are not determined: fits that are equally good have other values."""
     first = len(known.model.unknowns)
@@ -215,7 +216,7 @@ def _refined(known: Known, effect: Effect, trial: Model) -> tuple[Model, dict[st
     return best, hidden
 
 
-def _estimates(best: Candidate, model: Model, first: int, sigma: np.ndarray) -> dict[str, Estimate]:
+def _estimates(best: Candidate, model: FittedModel, first: int, sigma: np.ndarray) -> dict[str, Estimate]:
     """Parameters of a finding, the unknowns of `model` from `first` on; sigma: (p,) of all of them."""
     units = {p.name: p.unit for p in best.effect.traced}
     found = {name: Estimate(value, None, units[name]) for name, value in best.fixed.items() if value}

@@ -9,7 +9,7 @@ import numpy as np
 from ..evaluation.intervals import LEVEL, Difference, effective_number, paired
 from ..evaluation.verdict import BETTER, CANNOT_TELL, Change, Verdict, change_in_outages, change_with_fixes, decide
 from .held_out import CERTAIN, HeldOut
-from .measured import Measured, fairly
+from .measured import MeasuredErrors, without_clock_of_truth
 
 GROWN = 0.03  # smallest relative growth of an error that is certainly larger and counts (together with NOTICED)
 NOTICED = 0.1  # m, smallest growth of an error that counts: a user does not notice less
@@ -32,10 +32,10 @@ LESS_HELD = 0.15
 ONE_SIDED = 2 * LEVEL - 1
 
 
-def changes(before: Measured, after: Measured) -> list[Change]:
+def error_changes(before: MeasuredErrors, after: MeasuredErrors) -> list[Change]:
     """The changes on which the verdict is based: of the errors in the same outages, and with all fixes used if there is
     another truth than the fixes; all drives together."""
-    before, after = fairly(before, after)
+    before, after = without_clock_of_truth(before, after)
     found = []
     if before.independent:
         _, a, b = np.intersect1d(before.continuous.stamp, after.continuous.stamp, return_indices=True)
@@ -48,15 +48,16 @@ def changes(before: Measured, after: Measured) -> list[Change]:
     return found
 
 
-def judged(before: Measured, after: Measured, effects: bool = False, candidates: float = 1.0) -> Verdict:
+def verdict_on(before: MeasuredErrors, after: MeasuredErrors, effects: bool = False,
+               candidates: float = 1.0) -> Verdict:
     """Verdict on a change. It is not `better` if it does harm: to the ellipses, or to the errors of a single drive.
     candidates: as for `decide`."""
-    verdict = decide(changes(before, after), candidates)
-    against = harm(compared(before, after), effects) if verdict.answer == BETTER else ''
+    verdict = decide(error_changes(before, after), candidates)
+    against = larger_errors(compared(before, after), effects) if verdict.answer == BETTER else ''
     return replace(verdict, answer=CANNOT_TELL, why=(against,)) if against else verdict
 
 
-def candidates(before: Measured, tried: Sequence[Measured]) -> float:
+def candidates(before: MeasuredErrors, tried: Sequence[MeasuredErrors]) -> float:
     """Number of independent filters that those `tried` are worth, by the changes of their errors in the same outages,
     those of the duration in which they have least in common."""
     found = []
@@ -71,7 +72,7 @@ def candidates(before: Measured, tried: Sequence[Measured]) -> float:
     return max(found, default=max(len(tried), 1))
 
 
-def compared(before: Measured, after: Measured) -> list[dict]:
+def compared(before: MeasuredErrors, after: MeasuredErrors) -> list[dict]:
     """Rows with the errors before and after: the mean square error with all fixes used; the mean and the root mean
     square of the largest error in outages, and how often the 95 % ellipse contained the truth.
 
@@ -79,14 +80,14 @@ def compared(before: Measured, after: Measured) -> list[dict]:
     follows them. apart: number of the `count` outages that do not overlap. drive: name of the drive, in the rows of
     single drives, which come last.
     """
-    rows = _compared(*fairly(before, after))
+    rows = _compared(*without_clock_of_truth(before, after))
     for name in before.drives:
-        both = fairly(before.drives[name], after.drives[name])
+        both = without_clock_of_truth(before.drives[name], after.drives[name])
         rows += [row | {'drive': name} for row in _compared(*both)]
     return rows
 
 
-def _compared(before: Measured, after: Measured) -> list[dict]:
+def _compared(before: MeasuredErrors, after: MeasuredErrors) -> list[dict]:
     rows = [_row('with all fixes used, mean square error in m^2', before.continuous.stamp, after.continuous.stamp,
                  before.continuous.horizontal**2, after.continuous.horizontal**2)
             | {'decides': before.independent}]
@@ -101,7 +102,7 @@ def _compared(before: Measured, after: Measured) -> list[dict]:
     return rows
 
 
-def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVERED) -> str:
+def larger_errors(comparison: Sequence[dict], effects: bool = False, floor: float = COVERED) -> str:
     """In words, what becomes worse and by how much; empty if nothing does.
 
     - An error counts as larger if it is certainly larger, by GROWN and NOTICED; or if its mean or root mean square is
@@ -146,26 +147,26 @@ def _plain(value: float, squared: bool) -> str:
     return f'{value**2 if squared else value:.3g}'
 
 
-def gain_proven(before: Measured, after: Measured) -> bool:
+def gain_proven(before: MeasuredErrors, after: MeasuredErrors) -> bool:
     """Whether noise levels or settings are proven by data that they were not chosen with. before: the same filter
     without them.
 
     They are if errors are certainly smaller; or if predictions are certainly better (`predicted`, which depends on the
     sigmas, too) and no error grows.
     """
-    if judged(before, after).answer == BETTER:
+    if verdict_on(before, after).answer == BETTER:
         return True
     gain = predicted(before, after)
     return gain is not None and gain.interval(ONE_SIDED)[0] > 0.0 and not objection_to_errors(compared(before, after))
 
 
-def predicts_worse(before: Measured, after: Measured) -> bool:
+def predicts_worse(before: MeasuredErrors, after: MeasuredErrors) -> bool:
     """Whether predictions are certainly worse."""
     gain = predicted(before, after)
     return gain is not None and gain.interval(ONE_SIDED)[1] < 0.0
 
 
-def predicted(before: Measured, after: Measured) -> Difference | None:
+def predicted(before: MeasuredErrors, after: MeasuredErrors) -> Difference | None:
     """Gain of predictions in log likelihood, the measure by which noise levels are chosen: the mean over the prediction
     horizons, all with the same weight. None if there are too few predictions, or no difference.
 
@@ -173,7 +174,7 @@ def predicted(before: Measured, after: Measured) -> Difference | None:
     of the sigmas, and the relative error of the sigma, 1 / sqrt(2 (count - 1)), the mean of the relative errors
     weighted by sigma: both are upper bounds.
     """
-    apart = [np.inf, *(o.apart for o in (before.timeless or before).outages if len(o.begin))]
+    apart = [np.inf, *(o.apart for o in (before.without_offset or before).outages if len(o.begin))]
     scores, found = (before.scores(), after.scores()), []
     if len(scores[0]) != len(scores[1]):  # one of the filters never runs for so long
         return None
@@ -202,13 +203,14 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
         return 'not there without the one part of the recording or the other'
     change = overall_ratio(comparison)
     settled = 0.0 < change <= PLAINLY or proof.helps and proof.p < CERTAIN
-    worse = harm(comparison, proof.helps, 0.0 if settled else COVERED)
+    worse = larger_errors(comparison, proof.helps, 0.0 if settled else COVERED)
     if worse:
         return worse
     for name, (gain, p) in proof.drives.items():
         if p < CERTAIN:
             return f'{name} speaks against it (log likelihood {gain:+.1f} there, p {p:.2g})'
-    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < PLAINLY * row['before'] for row in of_all(comparison))
+    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < PLAINLY * row['before']
+                  for row in rows_of_all_drives(comparison))
     if not (proof.helps or (proof.gain > 0 and shrinks)):
         what = 'too small a gain' if proof.gain > 0 else 'no gain'
         return f'{what} on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
@@ -222,7 +224,7 @@ def _larger(comparison: Sequence[dict], settled: bool = False) -> str:
     scatter by as much.
     """
     change = overall_ratio(comparison)
-    if change <= 1 + GROWN or (change <= LARGER and (settled or ellipses_better(of_all(comparison)))):
+    if change <= 1 + GROWN or (change <= LARGER and (settled or ellipses_better(rows_of_all_drives(comparison)))):
         return ''
     return f'the error does not shrink: all in all it is {change:.2f} times that before'
 
@@ -235,7 +237,8 @@ def objection_to_errors(comparison: Sequence[dict]) -> str:
     arm as the fixes that are used.
     """
     plainly = 0.0 < overall_ratio(comparison) <= PLAINLY
-    return harm(comparison, effects=True, floor=COVERED - LESS_HELD if plainly else COVERED) or _larger(comparison)
+    floor = COVERED - LESS_HELD if plainly else COVERED
+    return larger_errors(comparison, effects=True, floor=floor) or _larger(comparison)
 
 
 def ellipses_better(rows: Sequence[dict]) -> bool:
@@ -248,12 +251,12 @@ def ellipses_better(rows: Sequence[dict]) -> bool:
 def overall_ratio(comparison: Sequence[dict]) -> float:
     """Ratio of the errors after to those before: the geometric mean of all rows that decide, 0 without any. Rows with
     too few outages for a test count only if all rows have too few: one of three outages would decide there."""
-    rows = of_all(comparison)
+    rows = rows_of_all_drives(comparison)
     ratios = [row['after'] / row['before'] for row in [row for row in rows if row.get('p') is not None] or rows]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else 0.0
 
 
-def of_all(comparison: Sequence[dict]) -> list[dict]:
+def rows_of_all_drives(comparison: Sequence[dict]) -> list[dict]:
     """The rows of all drives together that decide and have errors."""
     return [row for row in comparison if row['decides'] and row.get('before') and row.get('after')
             and 'drive' not in row]
