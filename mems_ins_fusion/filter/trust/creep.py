@@ -28,8 +28,8 @@ from .standstill import CREEP_SCATTER, CREEP_SPEED, CREEP_TIME, SLOWEST_SPEED, S
 Creep = ROW.place(
     'Creep',
     ODDS=1,  # how many times as likely it is that the vehicle stood; 0: there has been no standstill
-    SPEED=1,  # m/s, if it crept: estimate of its speed
-    VARIANCE=1,  # (m/s)^2, and variance
+    SPEED=1,  # m/s, if it crept: estimate of its speed,
+    VARIANCE=1,  # and variance of it, (m/s)^2
     LAG=1,  # s: position error of the state over this speed
     TIME=1,  # s, until which LAG is known
     FORWARD=2,  # north and east component of the forward direction
@@ -83,7 +83,7 @@ def crept(mem, r, at, variance, slow):
     elapsed = max(time - mem[r + Creep.TIME], 0.0)
     mem[r + Creep.LAG] += elapsed
     mem[r + Creep.TIME] = time
-    # the part of the variance that is new in this fix
+    # the part of the variance that is new in this fix: it is the weight of its likelihood
     counts = (variance * min(elapsed / SHORTEST_CORRELATION, 1.0) + slow * min(elapsed / LASTING_TIME, 1.0)) / (
         variance + slow)
     variance += slow
@@ -94,8 +94,7 @@ def crept(mem, r, at, variance, slow):
     north, east = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
     forward_n, forward_e = mem[r + Creep.FORWARD], mem[r + Creep.FORWARD + 1]
     moved, sigma = lag * speed, lag * math.sqrt(spread)
-    squares = north * north + east * east
-    anywhere = OUTLIER_SHARE / (2.0 * math.pi * LOG_RANGE * (squares + 4.0 * variance))
+    anywhere = OUTLIER_SHARE / (2.0 * math.pi * LOG_RANGE * (north * north + east * east + 4.0 * variance))
     stood = _density_if_stood(mem, r, north, east, variance, anywhere, elapsed)
     fits = offset.density(north + moved * forward_n, east + moved * forward_e, variance, sigma * forward_n,
                           sigma * forward_e)
