@@ -146,6 +146,7 @@ NEVER = {
     'inputs that are far off': {'trust.inputs.GATE': 1e9, 'trust.inputs.NARROW_GATE': 1e9},
     'displacements of inputs': {'trust.displacement.SHARE_SIGMAS': 1e9},
     'inputs that wait for a comparison': {'trust.displacement.COMPARED_SIGMA': 1e9},
+    'inputs that have to be right for some time': {'trust.inputs.RIGHT_AGAIN_AFTER': 0.0},
     'clocks that jump': {'trust.clock_jump.OFFSET_SIGMAS': 1e9},
     'lively inputs that stop': {'trust.repeats.LIVELY': 1e9},
     'errors of a speed that last': {'trust.inputs.SPEED_CORRELATION': 0.0},

@@ -105,7 +105,7 @@ def test_two_receivers_are_compared_across_it(drives):
     found = [shown_inputs({}, {'/other': one.gnss}, one.imu, one.gnss, np.ones(len(one.imu), dtype=bool), None)
              for one in drives]
     # then it is told to be one
-    assert [type(one[0]).__name__ for one in found] == ['LeftOut', 'LeftOut']
+    assert [type(one[0]).__name__ for one in found] == ['UnusedTopic', 'UnusedTopic']
     assert found[0][0].why == found[1][0].why
 
 

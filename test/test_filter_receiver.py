@@ -46,7 +46,7 @@ from mems_ins_fusion.filter.runs.results import MeasurementLog, columns, result
 from mems_ins_fusion.filter.start.initial import sensor_errors_of
 from mems_ins_fusion.filter.trust.force_noise import ASSUMED_DENSITY, ForceNoise, force_noise, learn_from_change
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
-from mems_ins_fusion.filter.trust.line import Line
+from mems_ins_fusion.filter.trust.line import Line, add_to_line, begin_line, fit_line
 from mems_ins_fusion.filter.trust.new_start import start_anew
 from mems_ins_fusion.filter.trust.receiver import (
     LASTING_TIME,
@@ -666,3 +666,21 @@ def test_a_filter_has_not_strayed_from_refused_fixes_that_scatter():
         memory = receiver.through(mechanization='strapdown')[1]
         # then it is not said of the IMU that it has led astray, nor the velocity taken from two of them
         assert newest(memory)[Nav.DIVERGENCE_TIME] == 0.0
+
+
+def test_sums_over_positions_give_the_line_of_least_squares():
+    # given positions about a line
+    rng = np.random.default_rng(4)
+    time = np.sort(rng.uniform(100.0, 130.0, 20))
+    north, east = 0.7 * time + rng.standard_normal(20), 3.0 - 0.2 * time + rng.standard_normal(20)
+    memory = rng.standard_normal(Line.SIZE + 2)
+    begin_line(memory, 2, time[0])
+    for values in zip(time, north, east):
+        add_to_line(memory, 2, *values)
+    slope_n, slope_e, left, variance = fit_line(memory, 2)
+    # then NumPy's line through them has these slopes, this mean square distance, and this variance of a slope
+    lines, covariances = zip(*(np.polyfit(time, z, 1, cov=True) for z in (north, east)))
+    assert [slope_n, slope_e] == pytest.approx([line[0] for line in lines])
+    squares = [np.mean((z - np.polyval(line, time)) ** 2) for z, line in zip((north, east), lines)]
+    assert left == pytest.approx(sum(squares), rel=1e-6)
+    assert variance == pytest.approx(np.mean([covariance[0, 0] for covariance in covariances]))

@@ -8,7 +8,6 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 from mems_ins_fusion.filter.memory import Event, Nav, Sample, sample_at, state_at
-from mems_ins_fusion.filter.trust.line import Line, add_to_line, begin_line, fit_line
 from mems_ins_fusion.filter.trust.standstill import (
     CREEP_SCATTER,
     CREEP_SPEED,
@@ -51,25 +50,6 @@ def through(north, interval, sigma, seed=1):
     rows, _ = take_all(memory, samples, fixes_of(north, interval, sigma),
                              [Nav.TIME, Nav.LATITUDE, Nav.V_N, Nav.NORTH_SCALE])
     return rows[:, 0], (rows[:, 1] - LATITUDE) / rows[:, 3], rows[:, 2]
-
-
-def test_sums_over_positions_give_the_line_of_least_squares():
-    # given weighted positions about a line
-    rng = np.random.default_rng(4)
-    time, weight = np.sort(rng.uniform(100.0, 130.0, 20)), rng.uniform(0.2, 1.0, 20)
-    north, east = 0.7 * time + rng.standard_normal(20), 3.0 - 0.2 * time + rng.standard_normal(20)
-    memory = rng.standard_normal(Line.SIZE + 2)
-    begin_line(memory, 2, time[0])
-    for values in zip(time, north, east, weight):
-        add_to_line(memory, 2, *values)
-    slope_n, slope_e, left, variance = fit_line(memory, 2)
-    # then NumPy's line through them has these slopes and this mean square distance
-    lines = [np.polyfit(time, z, 1, w=np.sqrt(weight)) for z in (north, east)]
-    assert [slope_n, slope_e] == pytest.approx([line[0] for line in lines])
-    squares = sum(weight @ (z - np.polyval(line, time)) ** 2 for z, line in zip((north, east), lines))
-    assert left == pytest.approx(squares / weight.sum(), rel=1e-6)
-    spread = np.cov(time, aweights=weight, ddof=0)
-    assert variance == pytest.approx(0.5 * left / ((weight.sum() - 2.0) * spread))
 
 
 @pytest.mark.parametrize(('sigma', 'interval'), [(0.1, 1.0), (0.5, 0.2), (1.5, 1.0), (1.5, 5.0)])

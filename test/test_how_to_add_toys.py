@@ -264,12 +264,12 @@ def test_a_measurement(copy):
     # when: it says 107 m where fixes of 10 m say 100 m; and fixes of 10 m alone
     found = copy('A measurement', edits, """
 from dataclasses import replace
-from mems_ins_fusion.evaluation.comparison import aiding_of, cut
+from mems_ins_fusion.evaluation.comparison import aiding_of, time_span
 from mems_ins_fusion.filter.measurements.altitude import Altitudes
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.checker import check_recording
-from mems_ins_fusion.recordings.several import later
+from mems_ins_fusion.recordings.several import shifted_recording
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.simulation import SimulatedAiding, simulate_recording
 imu, fixes = at_rest(8), fixes_at(range(8), 10.0)
@@ -285,7 +285,7 @@ values = table.check({'altitude_topic': '/altitude', 'altitude.sigma': 0.2})
 drive = simulate_drive(20.0, 3, RATE, standstill=10.0)
 recording = simulate_recording(drive, aiding=SimulatedAiding(altitude_rate=5.0)).recording
 found['simulated'] = len(recording.streams()['altitude'])
-found['cut'] = len(aiding_of(later(cut(recording, 0.0, 10.0), SECOND))['altitude'])
+found['cut'] = len(aiding_of(shifted_recording(time_span(recording, 0.0, 10.0), SECOND))['altitude'])
 found['checked'] = sorted({finding.topic for finding in check_recording(recording)})
 kind = 'toy_msgs/msg/Altitude'
 from mems_ins_fusion.filter.measurements.registry import MEASUREMENTS

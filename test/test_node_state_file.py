@@ -85,12 +85,12 @@ def test_a_write_that_fails_leaves_the_old_file_and_says_so(path, monkeypatch):
 KILLED = """
 import os, signal, sys
 from mems_ins_fusion.diagnosis.estimate import Estimate
-from mems_ins_fusion.diagnosis.quantity import Kept
+from mems_ins_fusion.diagnosis.quantity import EarlierFinding
 from mems_ins_fusion.nodes.state_file import StateFile
 file = StateFile(sys.argv[1], 3600.0, 20.0)
 assert file.read() is None
 setattr(os, sys.argv[2], lambda *arguments: os.kill(os.getpid(), signal.SIGKILL))
-kept = Kept('gnss_time_offset', {'time_offset': Estimate(0.4, 0.01, 's')}, {'gnss.time_offset': 0.4}, 1)
+kept = EarlierFinding('gnss_time_offset', {'time_offset': Estimate(0.4, 0.01, 's')}, {'gnss.time_offset': 0.4}, 1)
 file.write({**dict.fromkeys(('stamp', 'latitude', 'longitude', 'height'), 1.0)}, [kept], {'imu_topic': '/imu'})
 """
 

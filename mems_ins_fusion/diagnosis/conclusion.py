@@ -160,37 +160,41 @@ def _chosen(tried: list[tuple[MeasuredCorrection, Verdict]], before: MeasuredErr
     - Its errors are certainly smaller, or no error is larger. The latter is enough, because errors against withheld
       fixes need not show an effect: fixes that are stamped late are late where they are withheld, too.
     - No error is larger with the values of corrected.yaml. They differ from those of the parts where the recording
-      leaves a range open; on the data that they were fitted to, errors are smaller than elsewhere, if anything.
-    If there is none, the first one with effects and certainly smaller errors is taken, as the given parameters are
-    worse; else the given parameters.
+      leaves a range open. These errors are of the data that the values were fitted to, so they are rather too small:
+      an error that is larger even there is larger.
+    If there is none, the first one with effects and certainly smaller errors that meets the third is taken, as the
+    given parameters are worse; else the given parameters.
 
     Returns the correction, its errors, the verdict, what this is about (the correction, or if the given parameters
     stay, `_alternative`), and what speaks against the effects that are left out.
     """
-    against = ''
+    against, refused = '', {}
     ordered = sorted(tried[:-1], key=lambda found: (
         not found[0].correction.effects, found[1].answer != BETTER, not _has(found[0].correction.values, wanted)))
     stand = [found for found in ordered if _each_part_proven(found[0], wanted)]
     for one, verdict in [*stand, *(f for f in ordered if f[0].correction.effects and f[1].answer == BETTER)]:
         worse = '' if verdict.answer == BETTER else _worse(before, one.errors) or (
             NO_PROOF if verdict.answer == WORSE else '')
-        worse = worse or _worse(before, as_written(one.correction))
+        if not worse:
+            worse = refused[id(one)] = _worse(before, as_written(one.correction))
         if not worse:
             return one.correction, one.errors, verdict, one, against or NO_PROOF
         if one.correction.effects:
             against = worse
-    best, verdict = _alternative(tried)
+    best, verdict = _alternative(tried, refused)
     kept, _ = tried[-1]
     return kept.correction, kept.errors, verdict, best, against or NO_PROOF
 
 
-def _alternative(tried: list[tuple[MeasuredCorrection, Verdict]]) -> tuple[MeasuredCorrection, Verdict]:
+def _alternative(tried: list[tuple[MeasuredCorrection, Verdict]], refused: dict[int, str],
+                 ) -> tuple[MeasuredCorrection, Verdict]:
     """What to report where the given parameters stay: of what was tried, as for `_chosen`, the best predictions that
-    come with a smaller error, as a reader is told the error; else the best predictions. It is not BETTER."""
+    come with a smaller error, as a reader is told the error; else the best predictions. It is not BETTER. refused: what
+    is worse with the values of corrected.yaml, by the id of what was tried."""
     smaller = [found for found in tried[:-1] if found[1].shown and found[1].shown.smaller]
     best, verdict = [*smaller, *tried][0]
     if verdict.answer == BETTER:
-        verdict = replace(verdict, answer=CANNOT_TELL, why=(NOT_EACH,))
+        verdict = replace(verdict, answer=CANNOT_TELL, why=(refused.get(id(best)) or NOT_EACH,))
     return best, verdict
 
 

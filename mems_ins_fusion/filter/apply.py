@@ -51,9 +51,9 @@ def apply_event(mem, r, at, sample):
 def _apply_fix(mem, r, at):
     """Check the fix at `at`, correct the state at r with it, and learn from it.
 
-    Checks: extrapolated straight line, new start or heading from the course, the receiver's realised scatter, whether
-    this filter assumes that the fixes are wrong, innovation gate. Learned: scatter of the receiver, displacement of the
-    other inputs, drift of the fixes, drift of the sensors.
+    Checks: extrapolated straight line, new start or heading from the course, the receiver's realised scatter,
+    whether this filter assumes that the fixes are wrong, whether a standstill was a creep, innovation gate.
+    Learned: scatter of the receiver, displacement of the other inputs, drift of the fixes, drift of the sensors.
     """
     receiver.take_status(mem, r, at)
     if _is_extrapolated(mem, r, at):
@@ -82,19 +82,19 @@ def _apply_fix(mem, r, at):
         return
     p = int(mem[Head.SCRATCH_AT])
     known, variance = 0.5 * (mem[p] + mem[p + n + 1]), receiver.realised_variance(mem, r, at)
-    if not fixes_wrong:
-        white, slow = receiver.white_and_slow(mem, r, at)
-        if creep.crept(mem, r, at, known + white, slow):
-            creep.correct(mem, r, p, n)
+    white, slow = receiver.white_and_slow(mem, r, at)
+    crept = not fixes_wrong and creep.crept(mem, r, at, known + white, slow)
+    if crept:
+        creep.correct(mem, r, p, n)
     if mem[r + Nav.USE_ALL_FIXES] > 0.0:
         if contradiction.inflate_to_fit(mem, r, n, _misfit(mem, r, at, n, factor)):
             robust = gate = 0.0
     # a height that is far off is no sign that the filter is wrong: in a car it changes slowly
     verdict = update(mem, r, at, n, dimensions, factor, 1.0, robust, gate, mem[Head.ROBUST_SIGMA])
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
-    if verdict != Verdict.REFUSED:
+    if verdict != Verdict.REFUSED or crept:
         end_update(mem, r)
-        if row_of(mem, Error.R_D) < 0:
+        if row_of(mem, Error.R_D) < 0 and verdict != Verdict.REFUSED:
             mem[r + Nav.HEIGHT] = height
         set_radii(mem, r)
     creep.note_correction(mem, r, mem[at + Event.WEIGHT] * known / (known + variance))

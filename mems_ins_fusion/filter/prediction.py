@@ -54,7 +54,7 @@ Turns = HEAD.place('Turns', NOISE=1)
 TURN_TIME = 5.0
 #: m/s^2, standard deviation of the vehicle's acceleration during a gap in the IMU samples. Chosen: a car in traffic
 GAP_ACCELERATION = 1.5
-#: rad/s (17 deg/s), standard deviation of its turn rate during a gap. Chosen; four times as much costs 60 m where an
+#: rad/s (17 deg/s), standard deviation of its turn rate during a gap. Chosen; four times as much costs 24 m where an
 #: IMU restarts (docs/ablation.md)
 GAP_TURN_RATE = 0.3
 #: a gap adds this share of the heading's variance to roll and pitch: roads bend more than they tilt. Chosen, not

@@ -8,8 +8,8 @@ likelihood; a Kalman filter of one state estimates v. Where the creep is much mo
 it.
 
 If the fixes have excluded the creep, another one may begin at any time (a robot that starts to move slowly): the
-hypothesis begins anew where it has become less likely than that (E. S. Page, "Continuous inspection schemes",
-Biometrika 41, 1954).
+hypothesis begins anew where it has become less likely than that, or its speed is below SLOWEST_SPEED (E. S. Page,
+"Continuous inspection schemes", Biometrika 41, 1954).
 """
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ Creep = ROW.place(
 
 #: odds at which a creep begins anew: a vehicle that starts to move without being noticed is rare. Chosen, not measured
 UNNOTICED_START = 1e5
-#: s after the latest zero-velocity update for which the hypothesis is kept: then the vehicle has turned or stopped
+#: s after the latest zero-velocity update for which the hypothesis is kept: after that the vehicle has probably turned,
+#: and its forward direction is no longer FORWARD. Chosen, not measured
 LONGEST_CREEP = 60.0
 
 
@@ -46,8 +47,9 @@ def note_standstill(mem, r, p, n, c, since, quiet, odds):
     """Begin the hypothesis with the first zero-velocity update of a standstill, to be applied to the state at r.
 
     p: position of P, of n states; the update moves the position by what it has in common with the velocity, too. c:
-    rotation from b to n (9 elements). since: s since the previous application of a constraint. quiet: s for which the
-    vehicle has been as quiet as at rest. odds: `standstill.odds_of_standing`; they rise during the standstill.
+    rotation from the vehicle's axes to n (9 elements). since: s since the previous application of a constraint.
+    quiet: s for which the vehicle has been as quiet as at rest. odds: `standstill.odds_of_standing`; they rise
+    during the standstill.
     """
     if stands(mem, r) and mem[r + Creep.ODDS] > 0.0:
         mem[r + Creep.ODDS] *= (CREEP_TIME + quiet) / (CREEP_TIME + quiet - since)
@@ -133,7 +135,8 @@ def correct(mem, r, p, n):
             mem[p + n * i + first + j] += lag * both
             mem[p + n * (first + i) + j] += lag * both
             mem[p + n * (first + i) + first + j] += both
-    mem[r + Standing.CONTRADICTED], mem[r + Creep.ODDS] = mem[r + Creep.TIME], 0.0
+    mem[r + Standing.CONTRADICTED] = mem[r + Creep.TIME]  # the time of this fix, by `crept`
+    mem[r + Creep.ODDS] = 0.0
 
 
 @njit(_nrt=False)

@@ -86,7 +86,8 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
 
 @njit(_nrt=False)
 def forget(mem, own):
-    """Begin the comparison of an input anew after it has changed; until it is complete, the input counts as wrong."""
+    """Begin the comparison of an input anew after it has changed; the input counts as wrong until it is right again
+    (`inputs._is_right_again`)."""
     forget_share(mem, own)
     interrupt(mem, own)
     mem[own + Seen.COMPARED] = -1.0
@@ -168,7 +169,7 @@ def learn(mem, own, moved, fixes, drift, noise):
         mem[own + Seen.REJECTED] += 1.0
         if mem[own + Seen.REJECTED] < 2.0:
             return False
-        # an input that was wrong counts as wrong until the new comparison is complete
+        # an input that was wrong stays wrong until it is right again
         wrong = _is_significant(mem, own, abs(share), TOLERATED_SHARE)
         mem[own + Seen.COMPARED], mem[own + Seen.REDUCED] = -1.0 if wrong else 0.0, 0.0
         _begin(mem, own, noise)

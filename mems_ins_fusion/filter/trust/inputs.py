@@ -36,6 +36,9 @@ REFUSE_ALL = 1e-9
 #: s for which errors of a speed, velocity or odometry last: manoeuvres in which wheels slip and late stamps show, the
 #: smoothing of receivers. All of that time tell no more than one (0.3 s late, 60 s without fixes: 7 m, 28 m if white)
 SPEED_CORRELATION = 1.0
+#: s for which an input that was wrong has to fit the state, where an error of LARGEST_ERROR would not have fitted,
+#: until it is used again: as long as its errors last
+RIGHT_AGAIN_AFTER = SPEED_CORRELATION
 #: the same of a magnetic field: what a slow vehicle passes
 FIELD_CORRELATION = 10.0
 #: s for which a speed that has fitted and then is far off is one of wheels that slip, without fixes, too; what lasts
@@ -105,7 +108,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
         squared, variance = _innovation(mem, r, at, n, dimensions)
     change, expected = _change(mem, r, at, n, own, noise, variance, since)
     nis, change_nis = squared / (variance + noise), change / expected
-    if is_of_velocity(kind) and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own):
+    if is_of_velocity(kind) and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own, squared):
         noise = max(noise, squared - variance, change)
         nis, change_nis = squared / (variance + noise), change / max(expected, noise)
     slips = has_displacement(kind) and _slips(mem, own, kind, time, since, max(nis, change_nis))
@@ -212,10 +215,16 @@ def _note_fitted(mem, r, at, n, own, variance, since):
 
 
 @njit(_nrt=False)
-def _alternates(mem, r, at, n, own):
+def _alternates(mem, r, at, n, own, squared):
     """Whether a speed, velocity or odometry that is far off was so on the other side within LONGEST_SLIP: wheels that
-    slip are too fast or too slow for a while, so this is noise, however large, from which its scale is learned."""
-    side, other = (Seen.ABOVE, Seen.BELOW) if _first(mem, r, at, n) > 0.0 else (Seen.BELOW, Seen.ABOVE)
+    slip are too fast or too slow for a while, so this is noise, however large, from which its scale is learned.
+
+    squared: of the innovation, mean of the components.
+    """
+    first = _first(mem, r, at, n)
+    if mem[at + Event.KIND] == Kind.VELOCITY and first * first < squared:
+        return False  # it is off mainly to the east, and the sign of the northern component is chance
+    side, other = (Seen.ABOVE, Seen.BELOW) if first > 0.0 else (Seen.BELOW, Seen.ABOVE)
     time = mem[at + Event.TIME]
     mem[own + side] = time
     return mem[own + other] > 0.0 and time - mem[own + other] < LONGEST_SLIP
@@ -300,7 +309,7 @@ def _may_be_constant(mem, at, n, squared):
 @njit(_nrt=False)
 def _is_right_again(mem, r, at, n, own, squared, expected):
     """Whether an input that was wrong is right again: its displacements are, or it has fitted the state, which it has
-    not misled since then, for SPEED_CORRELATION where an error of LARGEST_ERROR would not have fitted. Notes since when
+    not misled since then, for RIGHT_AGAIN_AFTER where an error of LARGEST_ERROR would not have fitted. Notes since when
     it fits; one that does not has no displacement.
 
     squared, expected: of the innovation, and its variance.
@@ -319,7 +328,7 @@ def _is_right_again(mem, r, at, n, own, squared, expected):
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
     if ROBUST**2 * expected > (LARGEST_ERROR * speed) ** 2:
         mem[own + Seen.FITTED] = -time
-    if time + mem[own + Seen.FITTED] < SPEED_CORRELATION:
+    if time + mem[own + Seen.FITTED] < RIGHT_AGAIN_AFTER:
         return False
     displacement.accept(mem, own)
     return True

@@ -9,7 +9,7 @@ from mems_ins_fusion.compiled import njit
 class _Line(NamedTuple):
     """Columns of one line."""
 
-    COUNT: int = 0  # number of positions, or the sum of their weights; 0: there is no line
+    COUNT: int = 0  # number of positions; 0: there is no line
     SINCE: int = 1  # s, time of the first
     T: int = 2  # sums: of the time since then, s,
     TT: int = 3  # of its square,
@@ -35,17 +35,17 @@ def begin_line(mem, at, time):
 
 
 @njit(_nrt=False)
-def add_to_line(mem, at, time, north, east, weight):
+def add_to_line(mem, at, time, north, east):
     """Add a position, m, at `time`, s, to the sums of the line at `at`."""
     t = time - mem[at + Line.SINCE]
-    mem[at + Line.COUNT] += weight
-    mem[at + Line.T] += weight * t
-    mem[at + Line.TT] += weight * t * t
-    mem[at + Line.N] += weight * north
-    mem[at + Line.TN] += weight * t * north
-    mem[at + Line.E] += weight * east
-    mem[at + Line.TE] += weight * t * east
-    mem[at + Line.SQUARE] += weight * (north * north + east * east)
+    mem[at + Line.COUNT] += 1.0
+    mem[at + Line.T] += t
+    mem[at + Line.TT] += t * t
+    mem[at + Line.N] += north
+    mem[at + Line.TN] += t * north
+    mem[at + Line.E] += east
+    mem[at + Line.TE] += t * east
+    mem[at + Line.SQUARE] += north * north + east * east
 
 
 @njit(_nrt=False)

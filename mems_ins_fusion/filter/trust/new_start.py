@@ -65,7 +65,7 @@ def note(mem, r, at):
         return
     if mem[r + Nav.REFUSED] == 0.0:
         mem[r + Nav.REFUSED + Line.SINCE] = time
-    add_to_line(mem, r + Nav.REFUSED, time, mem[at + Event.Z_N], mem[at + Event.Z_E], 1.0)
+    add_to_line(mem, r + Nav.REFUSED, time, mem[at + Event.Z_N], mem[at + Event.Z_E])
 
 
 @njit(_nrt=False)

@@ -67,7 +67,7 @@ class _Seen(NamedTuple):
     REDUCED: int = 22  # and `displacement.SHARE_PRIOR` minus its variance
     COMPARED: int = 23  # s, time at which the comparison was complete; 0: not yet; -1: begun anew after it was wrong
     REJECTED: int = 24  # number of fixes in a row that were not compared
-    FITTED: int = 25  # s, time of its latest value that fitted; negative: at which fixes contradicted it
+    FITTED: int = 25  # s, time of its latest value that fitted; negative: it is wrong, and when that was seen
     # repeats.py
     LATEST: int = 26  # two values of the latest message,
     LATEST_TIME: int = 28  # s, and its time

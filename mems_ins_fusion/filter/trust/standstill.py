@@ -39,7 +39,7 @@ WheelMotion = ROW.place('WheelMotion', TIME=1)  # s, time of the latest speed or
 Standing = ROW.place(
     'Standing',
     TIME=1,  # s, of the latest zero-velocity update,
-    CONTRADICTED=1)  # s, time of the latest fix that showed motion during a standstill; 0: none
+    CONTRADICTED=1)  # s, time of the latest fix that showed that a standstill was a creep; 0: none
 
 #: number of claimed standard deviations above which a speed shows motion
 MOTION_SIGMAS = 3.0
@@ -70,6 +70,9 @@ REMOVED_MEAN_TIME = 0.3
 #: s, window of the mean square. In an exponential mean, the effect of a braking hides a stop of four seconds. Shorter
 #: windows would take a change of gears, which is as quiet for a second, for a standstill
 STILL_WINDOW = 1.5
+#: s without a sample after which the window begins anew: a vehicle may drive off meanwhile. Longer than the interval of
+#: slow IMUs. Chosen, not measured
+LONGEST_UNSEEN = 0.5
 #: s of slow motion after which the level of motion of a vehicle that has never been faster than MOVING_SPEED is learned
 CREEPING_TIME = 2.0 * STILL_WINDOW
 #: factor by which a standstill is quieter than the quietest motion, and by which it may exceed the usual level at rest
@@ -194,7 +197,7 @@ def is_still(mem, sample, dt, speed, sigma, anew, without_fixes):
     if first:
         mem[Still.MOTION], mem[Still.REST] = math.log(EXPECTED_MOTION), math.log(EXPECTED_REST)
     time = mem[sample + Sample.TIME]
-    if time - mem[Still.TIME] > STILL_WINDOW / PARTS:  # what has been before a gap tells nothing of what is after it
+    if time - mem[Still.TIME] > LONGEST_UNSEEN:  # what has been before a gap tells nothing of what is after it
         for i in range(PARTS + 1):
             mem[Still.SQUARES + i] = mem[Still.DURATIONS + i] = 0.0
     mem[Still.TIME] = time

@@ -13,7 +13,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..memory import ROW, Nav, velocity_variance
-from .scale import Scale, learn, scale
+from .scale import LARGEST_SCALE, Scale, learn, scale
 from .standstill import certain_speed, velocity_sigma
 
 #: of a state: realised variance of the velocity over ASSUMED_VARIANCE
@@ -45,7 +45,7 @@ def learn_certain_speed(mem, r):
     flows again, it is soon ten times as fast."""
     squared = 0.5 * certain_speed(mem, r, velocity_sigma(mem, r)) ** 2
     if is_without_fixes(mem, r) and squared > _usual(mem, r):
-        mem[r + UsualSpeed.SCALE + Scale.LOG] = math.log(squared / ASSUMED_VARIANCE)
+        mem[r + UsualSpeed.SCALE + Scale.LOG] = math.log(min(squared / ASSUMED_VARIANCE, LARGEST_SCALE))
 
 
 @njit(_nrt=False)
