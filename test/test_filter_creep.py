@@ -150,3 +150,17 @@ def test_a_filter_that_took_a_creep_for_a_stop_is_right_soon_after_it():
     assert np.abs(rows[(time > 3.0) & (time < 4.9), 1]).max() < 0.05
     assert np.abs(north - truth)[time > 16.0].max() < 3.0 * sigma
     assert np.abs(rows[time > 20.0, 1]).max() < 0.4
+
+
+def test_a_creep_goes_where_the_vehicle_points_and_not_its_imu():
+    # given a standstill with an IMU that is known to be mounted 0.4 rad off about the vertical
+    config = configure({**PLANAR, 'mechanization': 'strapdown', 'vehicle.non_holonomic': True,
+                        'imu.mounting_sigma': 0.1})
+    x = np.zeros(config.layout.n)
+    x[config.layout.index('mounting_yaw')] = 0.4
+    memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, YAW), x=x,
+                     p=1e-4 * np.eye(config.layout.n))
+    rows, _ = take_all(memory, quiet(6, np.random.default_rng(2)), np.zeros((0, Event.SIZE)),
+                       [Creep.FORWARD, Creep.FORWARD + 1])
+    # then the direction is that of the vehicle's x axis
+    assert rows[-1] == pytest.approx([np.cos(YAW + 0.4), np.sin(YAW + 0.4)], abs=0.01)
