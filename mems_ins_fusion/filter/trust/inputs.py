@@ -36,11 +36,11 @@ REFUSE_ALL = 1e-9
 #: s for which errors of a speed, velocity or odometry last: manoeuvres in which wheels slip and late stamps show, the
 #: smoothing of receivers. All of that time tell no more than one (0.3 s late, 60 s without fixes: 7 m, 28 m if white)
 SPEED_CORRELATION = 1.0
+#: the same of a magnetic field: what a slow vehicle passes
+FIELD_CORRELATION = 10.0
 #: s for which an input that was wrong has to fit the state, where an error of LARGEST_ERROR would not have fitted,
 #: until it is used again: as long as its errors last
 RIGHT_AGAIN_AFTER = SPEED_CORRELATION
-#: the same of a magnetic field: what a slow vehicle passes
-FIELD_CORRELATION = 10.0
 #: s for which a speed that has fitted and then is far off is one of wheels that slip, without fixes, too; what lasts
 #: for longer may be right, and the state wrong
 LONGEST_SLIP = 5.0
