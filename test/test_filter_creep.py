@@ -7,10 +7,9 @@ from filter_support import LATITUDE, configure, fix_event, random_covariance, st
 from scipy.stats import multivariate_normal
 from test_filter_standstill import METRES, quiet
 
-from mems_ins_fusion.filter.measurements.geometry import body_to_level
 from mems_ins_fusion.filter.memory import NAV, Event, Head, Nav, event_at, state_at, velocity_state
-from mems_ins_fusion.filter.trust.creep import Creep, correct, crept, note_correction, note_standstill
-from mems_ins_fusion.filter.trust.standstill import CREEP_SCATTER, CREEP_SPEED, Standing, odds_of_standing
+from mems_ins_fusion.filter.trust.creep import CREEP_VARIANCE, Creep, correct, crept, note_correction, note_standstill
+from mems_ins_fusion.filter.trust.standstill import Standing, odds_of_standing
 from mems_ins_fusion.filter.update import begin_update
 
 YAW, ODDS, SIGMA = 0.5, 100.0, 3.0
@@ -27,7 +26,7 @@ def at_first_update(p=None):
     r = state_at(memory, 0)
     begin_update(memory, r)
     at = int(memory[Head.SCRATCH_AT])
-    note_standstill(memory, r, at, n, body_to_level(memory, r), 0.1, 0.0, ODDS)
+    note_standstill(memory, r, at, n, 0.1, 0.0, ODDS)
     return memory, r, at, n
 
 
@@ -42,15 +41,14 @@ def test_a_creep_is_as_likely_as_all_its_fixes_together(speed):
         memory[event + Event.TIME] = seconds
         memory[event + Event.Z_N:event + Event.Z_N + 2] = difference
         crept(memory, r, event, SIGMA**2, 0.0)
-    # then the odds are those of SciPy's joint densities: noise alone, or the same unknown speed in all of them
-    design, noise = np.kron(time, FORWARD), SIGMA**2 * np.eye(16)
-    stood = multivariate_normal(np.zeros(16), noise).logpdf(ahead.ravel())
-    moved = multivariate_normal(CREEP_SPEED * design, noise + CREEP_SCATTER**2 * np.outer(design, design))
-    assert np.log(memory[r + Creep.ODDS]) == pytest.approx(np.log(ODDS) + stood - moved.logpdf(ahead.ravel()), abs=0.1)
-    # and the speed is that of least squares with its prior
-    weight = CREEP_SCATTER**-2 + design @ design / SIGMA**2
-    estimate = (CREEP_SPEED / CREEP_SCATTER**2 + design @ ahead.ravel() / SIGMA**2) / weight
-    assert memory[r + Creep.SPEED] == pytest.approx(estimate)
+    # then the odds are those of SciPy's joint densities: noise alone, or the same unknown velocity in all of them
+    design, noise = np.kron(time[:, None], np.eye(2)), SIGMA**2 * np.eye(16)
+    stood, moved = (multivariate_normal(np.zeros(16), covariance).logpdf(ahead.ravel())
+                    for covariance in (noise, noise + CREEP_VARIANCE * design @ design.T))
+    assert np.log(memory[r + Creep.ODDS]) == pytest.approx(np.log(ODDS) + stood - moved, abs=0.1)
+    # and the velocity is that of least squares with its prior
+    weight = 1.0 / CREEP_VARIANCE + time @ time / SIGMA**2
+    assert memory[r + Creep.VELOCITY:r + Creep.VELOCITY + 2] == pytest.approx(time @ ahead / SIGMA**2 / weight)
     assert memory[r + Creep.VARIANCE] == pytest.approx(1.0 / weight)
 
 
@@ -66,8 +64,9 @@ def test_the_speed_of_a_creep_is_found_although_fixes_correct_the_filter():
         crept(memory, r, event, 0.25, 0.0)
         note_correction(memory, r, gain)
         error = error - gain * difference
-    # then this speed is found
-    assert memory[r + Creep.SPEED] == pytest.approx(0.9, abs=3.0 * memory[r + Creep.VARIANCE] ** 0.5)
+    # then this velocity is found
+    velocity = memory[r + Creep.VELOCITY:r + Creep.VELOCITY + 2]
+    assert velocity == pytest.approx(0.9 * FORWARD, abs=3.0 * memory[r + Creep.VARIANCE] ** 0.5)
     assert memory[r + Creep.VARIANCE] < 0.05**2
 
 
@@ -94,14 +93,14 @@ def test_an_outlier_is_no_sign_of_a_creep():
     memory[event + Event.Z_N:event + Event.Z_N + 2] = -60.0 * FORWARD
     # then nothing is learned from it
     assert not crept(memory, r, event, SIGMA**2, 0.0)
-    assert memory[r + Creep.SPEED] == CREEP_SPEED and memory[r + Creep.ODDS] == pytest.approx(0.05, rel=0.1)
+    assert memory[r + Creep.VELOCITY] == 0.0 and memory[r + Creep.ODDS] == pytest.approx(0.05, rel=0.1)
 
 
 def test_a_standstill_is_the_likelier_the_longer_it_lasts():
     # given a standstill of 2 s, and then one of 2.1 s
     memory, r, at, n = at_first_update()
     memory[r + Standing.TIME] = memory[r + Nav.TIME]
-    note_standstill(memory, r, at, n, body_to_level(memory, r), 0.1, 2.1, ODDS)
+    note_standstill(memory, r, at, n, 0.1, 2.1, ODDS)
     # then its odds have changed as those of the detector do for a given speed
     longer, shorter = (odds_of_standing(0.3, 0.04, quiet_for) for quiet_for in (2.1, 2.0))
     assert memory[r + Creep.ODDS] == pytest.approx(ODDS * longer / shorter)
@@ -122,13 +121,14 @@ def test_the_state_is_corrected_by_what_a_creep_has_made_it_wrong():
     assert memory[r + Creep.LAG] == pytest.approx(cross / own)
     # and when 5 s have gone, with 0.8 +- 0.2 m/s, position and velocity are corrected by it, and P is raised by its
     # variance
-    memory[r + Creep.LAG], memory[r + Creep.SPEED], memory[r + Creep.VARIANCE] = 5.0, 0.8, 0.04
+    memory[r + Creep.LAG], memory[r + Creep.VARIANCE] = 5.0, 0.04
+    memory[r + Creep.VELOCITY:r + Creep.VELOCITY + 2] = 0.8 * FORWARD
     x, before = memory[r + NAV:r + NAV + n].copy(), memory[at:at + n * n].copy()
     correct(memory, r, at, n)
-    effect = np.zeros(n)
-    effect[:2], effect[v:v + 2] = 5.0 * FORWARD, FORWARD
-    assert memory[r + NAV:r + NAV + n] == pytest.approx(x - 0.8 * effect)
-    assert memory[at:at + n * n] - before == pytest.approx(0.04 * np.outer(effect, effect).ravel())
+    effect = np.zeros((n, 2))  # of the velocity on the errors
+    effect[:2], effect[v:v + 2] = 5.0 * np.eye(2), np.eye(2)
+    assert memory[r + NAV:r + NAV + n] == pytest.approx(x - effect @ (0.8 * FORWARD))
+    assert memory[at:at + n * n] - before == pytest.approx(0.04 * (effect @ effect.T).ravel())
 
 
 def test_a_filter_that_took_a_creep_for_a_stop_is_right_soon_after_it():
@@ -150,17 +150,3 @@ def test_a_filter_that_took_a_creep_for_a_stop_is_right_soon_after_it():
     assert np.abs(rows[(time > 3.0) & (time < 4.9), 1]).max() < 0.05
     assert np.abs(north - truth)[time > 16.0].max() < 3.0 * sigma
     assert np.abs(rows[time > 20.0, 1]).max() < 0.4
-
-
-def test_a_creep_goes_where_the_vehicle_points_and_not_its_imu():
-    # given a standstill with an IMU that is known to be mounted 0.4 rad off about the vertical
-    config = configure({**PLANAR, 'mechanization': 'strapdown', 'vehicle.non_holonomic': True,
-                        'imu.mounting_sigma': 0.1})
-    x = np.zeros(config.layout.n)
-    x[config.layout.index('mounting_yaw')] = 0.4
-    memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, YAW), x=x,
-                     p=1e-4 * np.eye(config.layout.n))
-    rows, _ = take_all(memory, quiet(6, np.random.default_rng(2)), np.zeros((0, Event.SIZE)),
-                       [Creep.FORWARD, Creep.FORWARD + 1])
-    # then the direction is that of the vehicle's x axis
-    assert rows[-1] == pytest.approx([np.cos(YAW + 0.4), np.sin(YAW + 0.4)], abs=0.01)

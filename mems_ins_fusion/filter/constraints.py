@@ -8,7 +8,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from .measurements import acceleration, non_holonomic, standstill
-from .measurements.geometry import angular_rate, body_to_level, vehicle_to_level
+from .measurements.geometry import angular_rate, body_to_level
 from .memory import (
     NAV,
     Error,
@@ -83,7 +83,7 @@ def constrain(mem, r, sample):
             for i in range(2):
                 mem[p + (n + 1) * (velocity_state(mem) + i)] += mem[r + Nav.V_N + i] ** 2
     if still:
-        creep.note_standstill(mem, r, p, n, vehicle_to_level(mem, r, body_to_level(mem, r)), since, quiet, odds)
+        creep.note_standstill(mem, r, p, n, since, quiet, odds)
         mem[r + Standing.TIME] = mem[r + Nav.TIME]
         dimensions = 3 if row_of(mem, Error.V_D) >= 0 else 2
         standstill.observe_velocity(mem, r, at, h, n, dimensions, mem[Head.ZERO_VELOCITY_SIGMA] ** 2)

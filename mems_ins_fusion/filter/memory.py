@@ -76,7 +76,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
     RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
     RECOVERIES: int = column()  # restarts from fixes that had been refused
-    MECHANISMS: int = column(214)  # room for the columns that other files declare (`ROW`)
+    MECHANISMS: int = column(213)  # room for the columns that other files declare (`ROW`)
     SIZE: int = column(0)
 
 

@@ -2,13 +2,13 @@
 
 A car that creeps at a constant speed on a smooth road is as quiet as at rest (`standstill.py`). After a standstill that
 was none, velocity and position are off by much more than their covariance says. By this hypothesis the vehicle moved
-forward with a constant speed v, which has a normal distribution: the velocity of the state is off by v, and its
-position by v times the *lag*, the time since then reduced by what fixes have corrected. Both hypotheses give each fix a
-likelihood; a Kalman filter of one state estimates v. Where the creep is much more likely, the state is corrected by
-it.
+with a constant velocity v, of normal distribution: the velocity of the state is off by v, and its position by v times
+the *lag*, the time since then reduced by what fixes have corrected. Both hypotheses give each fix a likelihood; a
+Kalman filter estimates v. Where the creep is much more likely, the state is corrected by it. The direction of v is
+taken for unknown: a slow robot turns more slowly than its gyroscopes can tell, and a vehicle may go backwards.
 
 If the fixes have excluded the creep, another one may begin at any time (a robot that starts to move slowly): the
-hypothesis begins anew where it has become less likely than that, or its speed is below SLOWEST_SPEED (E. S. Page,
+hypothesis begins anew where it has become less likely than that, or its velocity is below SLOWEST_SPEED (E. S. Page,
 "Continuous inspection schemes", Biometrika 41, 1954).
 """
 from __future__ import annotations
@@ -28,34 +28,32 @@ from .standstill import CREEP_SCATTER, CREEP_SPEED, CREEP_TIME, SLOWEST_SPEED, S
 Creep = ROW.place(
     'Creep',
     ODDS=1,  # how many times as likely it is that the vehicle stood; 0: there has been no standstill
-    SPEED=1,  # m/s, if it crept: estimate of its speed,
-    VARIANCE=1,  # and variance of it, (m/s)^2
-    LAG=1,  # s: position error of the state over this speed
+    VELOCITY=2,  # m/s, if it crept: estimate of its velocity, north and east,
+    VARIANCE=1,  # and variance of each component, (m/s)^2
+    LAG=1,  # s: position error of the state over this velocity
     TIME=1,  # s, until which LAG is known
-    FORWARD=2,  # north and east component of the forward direction
     FIX_WRONG=1)  # if it stood: probability that the latest fix has an offset
 
 #: odds at which a creep begins anew: a vehicle that starts to move without being noticed is rare. Chosen, not measured
 UNNOTICED_START = 1e5
-#: s after the latest zero-velocity update for which the hypothesis is kept: after that the vehicle has probably turned,
-#: and its forward direction is no longer FORWARD. Chosen, not measured
+#: (m/s)^2, variance of a component of the velocity of a creep before there are fixes: its mean square in any direction
+CREEP_VARIANCE = 0.5 * (CREEP_SPEED**2 + CREEP_SCATTER**2)
+#: s after the latest zero-velocity update for which the hypothesis is kept: after that the vehicle has probably turned.
+#: Chosen, not measured
 LONGEST_CREEP = 60.0
 
 
 @njit(_nrt=False)
-def note_standstill(mem, r, p, n, c, since, quiet, odds):
+def note_standstill(mem, r, p, n, since, quiet, odds):
     """Begin the hypothesis with the first zero-velocity update of a standstill, to be applied to the state at r.
 
-    p: position of P, of n states; the update moves the position by what it has in common with the velocity, too. c:
-    rotation from the vehicle's axes to n (9 elements). since: s since the previous application of a constraint.
-    quiet: s for which the vehicle has been as quiet as at rest. odds: `standstill.odds_of_standing`; they rise
-    during the standstill.
+    p: position of P, of n states; the update moves the position by what it has in common with the velocity, too. since:
+    s since the previous application of a constraint. quiet: s for which the vehicle has been as quiet as at rest. odds:
+    `standstill.odds_of_standing`; they rise during the standstill.
     """
     if stands(mem, r) and mem[r + Creep.ODDS] > 0.0:
         mem[r + Creep.ODDS] *= (CREEP_TIME + quiet) / (CREEP_TIME + quiet - since)
         return
-    forward = math.hypot(c[0], c[3])
-    mem[r + Creep.FORWARD], mem[r + Creep.FORWARD + 1] = c[0] / forward, c[3] / forward
     v, w = velocity_state(mem), velocity_state(mem) + 1
     common, variance = mem[p + v] + mem[p + n + w], mem[p + (n + 1) * v] + mem[p + (n + 1) * w]
     _begin(mem, r, mem[r + Nav.TIME], odds, common / variance)
@@ -63,8 +61,9 @@ def note_standstill(mem, r, p, n, c, since, quiet, odds):
 
 @njit(_nrt=False)
 def _begin(mem, r, time, odds, lag):
-    mem[r + Creep.ODDS], mem[r + Creep.SPEED], mem[r + Creep.VARIANCE] = odds, CREEP_SPEED, CREEP_SCATTER**2
-    mem[r + Creep.LAG], mem[r + Creep.TIME], mem[r + Creep.FIX_WRONG] = lag, time, 0.0
+    mem[r + Creep.ODDS], mem[r + Creep.VARIANCE] = odds, CREEP_VARIANCE
+    mem[r + Creep.VELOCITY] = mem[r + Creep.VELOCITY + 1] = mem[r + Creep.FIX_WRONG] = 0.0
+    mem[r + Creep.LAG], mem[r + Creep.TIME] = lag, time
 
 
 @njit(_nrt=False)
@@ -79,32 +78,35 @@ def crept(mem, r, at, variance, slow):
     if mem[creep] == 0.0 or time - mem[r + Standing.TIME] > LONGEST_CREEP:
         mem[creep] = 0.0
         return False
-    excluded = mem[creep] > UNNOTICED_START or mem[r + Creep.SPEED] < SLOWEST_SPEED
+    velocity = r + Creep.VELOCITY
+    squared = mem[velocity] ** 2 + mem[velocity + 1] ** 2 + 2.0 * mem[r + Creep.VARIANCE]
+    excluded = mem[creep] > UNNOTICED_START or squared < SLOWEST_SPEED**2
     if excluded and mem[r + Creep.FIX_WRONG] < 0.5:  # while fixes are off, a creep that has begun before may be why
         _begin(mem, r, mem[r + Creep.TIME], UNNOTICED_START, 0.0)
     elapsed = max(time - mem[r + Creep.TIME], 0.0)
     mem[r + Creep.LAG] += elapsed
     mem[r + Creep.TIME] = time
-    # the part of the variance that is new in this fix: it is the weight of its likelihood
-    counts = (variance * min(elapsed / SHORTEST_CORRELATION, 1.0) + slow * min(elapsed / LASTING_TIME, 1.0)) / (
-        variance + slow)
-    variance += slow
+    # by how much the slow errors have changed since then; the part of the variance that is new in this fix is the
+    # weight of its likelihood
+    changed = slow * min(2.0 * abs(mem[r + Creep.LAG]) / LASTING_TIME, 1.0)
+    new = slow * min(2.0 * elapsed / LASTING_TIME, 1.0)
+    counts = min((variance * min(elapsed / SHORTEST_CORRELATION, 1.0) + new) / (variance + changed), 1.0)
+    variance += changed
     if counts == 0.0:
         return False
-    lag, speed, spread = mem[r + Creep.LAG], mem[r + Creep.SPEED], mem[r + Creep.VARIANCE]
+    lag, spread = mem[r + Creep.LAG], mem[r + Creep.VARIANCE]
     # predicted minus measured position
     north, east = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
-    forward_n, forward_e = mem[r + Creep.FORWARD], mem[r + Creep.FORWARD + 1]
-    moved, sigma = lag * speed, lag * math.sqrt(spread)
     anywhere = OUTLIER_SHARE / (2.0 * math.pi * LOG_RANGE * (north * north + east * east + 4.0 * variance))
     stood = _density_if_stood(mem, r, north, east, variance, anywhere, elapsed)
-    fits = offset.density(north + moved * forward_n, east + moved * forward_e, variance, sigma * forward_n,
-                          sigma * forward_e)
+    off_n, off_e, expected = north + lag * mem[velocity], east + lag * mem[velocity + 1], variance + lag * lag * spread
+    fits = offset.density(off_n, off_e, expected, 0.0, 0.0)
     mem[creep] *= (stood / (fits + anywhere)) ** counts
     if fits < anywhere:
         return False
-    gain = spread * lag / (variance / counts + sigma * sigma)
-    mem[r + Creep.SPEED] -= gain * (north * forward_n + east * forward_e + moved)
+    gain = spread * lag / (variance / counts + lag * lag * spread)
+    mem[velocity] -= gain * off_n
+    mem[velocity + 1] -= gain * off_e
     mem[r + Creep.VARIANCE] -= gain * lag * spread
     return mem[creep] * SURE_ODDS < 1.0
 
@@ -123,18 +125,16 @@ def _density_if_stood(mem, r, north, east, variance, anywhere, elapsed):
 
 @njit(_nrt=False)
 def correct(mem, r, p, n):
-    """Correct the state at r by the creep, and raise P, which is at p, of n states, by the uncertainty of its speed."""
-    lag, speed, variance, first = mem[r + Creep.LAG], mem[r + Creep.SPEED], mem[r + Creep.VARIANCE], velocity_state(mem)
+    """Correct the state at r by the creep, and raise P, which is at p, of n states, by its uncertainty."""
+    lag, variance, first = mem[r + Creep.LAG], mem[r + Creep.VARIANCE], velocity_state(mem)
     for i in range(2):
-        forward = mem[r + Creep.FORWARD + i]
-        mem[r + NAV + i] -= lag * speed * forward
-        mem[r + NAV + first + i] -= speed * forward
-        for j in range(2):
-            both = variance * forward * mem[r + Creep.FORWARD + j]
-            mem[p + n * i + j] += lag * lag * both
-            mem[p + n * i + first + j] += lag * both
-            mem[p + n * (first + i) + j] += lag * both
-            mem[p + n * (first + i) + first + j] += both
+        velocity, v = mem[r + Creep.VELOCITY + i], first + i
+        mem[r + NAV + i] -= lag * velocity
+        mem[r + NAV + v] -= velocity
+        mem[p + (n + 1) * i] += lag * lag * variance
+        mem[p + n * i + v] += lag * variance
+        mem[p + n * v + i] += lag * variance
+        mem[p + (n + 1) * v] += variance
     mem[r + Standing.CONTRADICTED] = mem[r + Creep.TIME]  # the time of this fix, by `crept`
     mem[r + Creep.ODDS] = 0.0
 
