@@ -189,9 +189,10 @@ def realised_variance(mem, r, at):
 @njit(_nrt=False)
 def white_and_slow(mem, r, at):
     """Variances of one component of the fix at `at`, m^2: of its white errors, and of those that are nearly the same in
-    the next one. The latter by its claim, as innovations contain errors of the state, too."""
+    the next one. The latter by its claim and by innovations, but by these no more than the white ones: they contain
+    errors of the state, too."""
     white = realised_scatter(mem, r) * _claimed(mem, at)
-    return white, max(_claimed(mem, at) - white, 0.0)
+    return white, max(_claimed(mem, at) - white, min(mem[r + Nav.LASTING], white), 0.0)
 
 
 @njit(_nrt=False)
