@@ -61,6 +61,7 @@ def note_standstill(mem, r, p, n, since, quiet, odds):
 
 @njit(_nrt=False)
 def _begin(mem, r, time, odds, lag):
+    """Begin the hypothesis at `time`, s, with these odds and this LAG, s."""
     mem[r + Creep.ODDS], mem[r + Creep.VARIANCE] = odds, CREEP_VARIANCE
     mem[r + Creep.VELOCITY] = mem[r + Creep.VELOCITY + 1] = mem[r + Creep.FIX_WRONG] = 0.0
     mem[r + Creep.LAG], mem[r + Creep.TIME] = lag, time

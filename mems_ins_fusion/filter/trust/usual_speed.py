@@ -41,10 +41,12 @@ def learn_speed(mem, r, time):
 
 @njit(_nrt=False)
 def learn_certain_speed(mem, r):
-    """Learn from the state at r, which has no fixes, if the vehicle is certainly faster than usual: in traffic that
+    """Learn from the state at r, if there are no fixes and the vehicle is certainly faster than usual: in traffic that
     flows again, it is soon ten times as fast."""
+    if not is_without_fixes(mem, r):
+        return
     squared = 0.5 * certain_speed(mem, r, velocity_sigma(mem, r)) ** 2
-    if is_without_fixes(mem, r) and squared > _usual(mem, r):
+    if squared > _usual(mem, r):
         mem[r + UsualSpeed.SCALE + Scale.LOG] = math.log(min(squared / ASSUMED_VARIANCE, LARGEST_SCALE))
 
 
