@@ -35,7 +35,7 @@ from mems_ins_fusion.diagnosis.error_changes import (
     verdict_on,
 )
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
-from mems_ins_fusion.diagnosis.fit import FittedModel, Scores, _scores, fit
+from mems_ins_fusion.diagnosis.fit import FittedModel, Scores, fit, scores
 from mems_ins_fusion.diagnosis.folds import part_masks
 from mems_ins_fusion.diagnosis.held_out import HeldOut, certainly_better
 from mems_ins_fusion.diagnosis.measured import MeasuredErrors, in_common
@@ -145,11 +145,28 @@ def made_innovations(rng):
     return at
 
 
+def unknown_size(step: float, **more) -> Unknown:
+    """An unknown of the problems here, which bring their own innovations."""
+    return Unknown('effect.size', lambda values, recording, x: (values, recording), 0.0, step, 10.0, **more)
+
+
+def scores_at(at, x, step, mask) -> Scores:
+    """The scores of innovations `at` a point, by each element of x."""
+    problem = SimpleNamespace(mask=mask, residuals=lambda unknowns, points: [at(point) for point in points])
+    return scores(problem, [unknown_size(step)] * len(x), x)[1]
+
+
+def forward_scores(residual, moved, step, mask) -> Scores:
+    """The scores of unknowns by which `residual` becomes each of `moved`."""
+    problem = SimpleNamespace(mask=mask, residuals=lambda unknowns, points: list(moved))
+    return scores(problem, [unknown_size(step, one_sided=True)] * len(moved), np.zeros(len(moved)), residual)[1]
+
+
 def test_scores_are_the_derivatives_of_the_likelihood():
     # given innovations and covariances that depend on two unknowns, at a point that is no maximum
     at, x, step, mask = made_innovations(np.random.default_rng(3)), np.array([0.1, 0.2]), 1e-5, np.arange(N) >= 50
     ends = [[at(x + sign * step * axis) for sign in (1, -1)] for axis in np.eye(2)]
-    found = _scores(at(x), [(plus, minus, 2 * step) for plus, minus in ends], mask)
+    found = scores_at(at, x, step, mask)
     # then each fix's score is the difference of its likelihoods, and zero outside the mask
     expected = np.stack([(plus.log_likelihood() - minus.log_likelihood()) / (2 * step) for plus, minus in ends], axis=1)
     assert np.allclose(found.score[mask], expected[mask], rtol=1e-5, atol=1e-5)
@@ -161,7 +178,7 @@ def test_the_information_is_that_of_the_dense_formula():
     at, x, step = made_innovations(np.random.default_rng(4)), np.array([0.1, 0.2]), 1e-5
     ends = [[at(x + sign * step * axis) for sign in (1, -1)] for axis in np.eye(2)]
     mask = np.ones(N, dtype=bool)
-    found = _scores(at(x), [(plus, minus, 2 * step) for plus, minus in ends], mask).information(mask)
+    found = scores_at(at, x, step, mask).information(mask)
     expected = np.zeros((2, 2))
     for k in range(N):
         inverse = np.linalg.inv(unpacked(at(x).s[k]))
@@ -245,8 +262,8 @@ def synthetic(rng, n=N, theta=(0.0, 0.0)):
     def moved(z, s=None):
         return Residual(z, residual.s if s is None else s, residual.yaw, residual.velocity)
     mask = np.ones(n, dtype=bool)
-    own = _scores(residual, [(moved(residual.z - regressors[:, :, i]), residual, 1.0) for i in range(2)], mask)
-    level = _scores(residual, [(moved(residual.z, 1.01 * residual.s), residual, 0.01)], mask)
+    own = forward_scores(residual, [moved(residual.z - regressors[:, :, i]) for i in range(2)], 1.0, mask)
+    level = forward_scores(residual, [moved(residual.z, 1.01 * residual.s)], 0.01, mask)
     return residual, own, level, mask
 
 
@@ -279,7 +296,7 @@ def test_the_score_test_is_careful_where_innovations_follow_each_other():
         slow = np.sin(2 * np.pi * np.arange(N) / 60.0)[:, None]
         coloured = Residual(z, residual.s, residual.yaw, residual.velocity)
         moved = Residual(z - slow, residual.s, residual.yaw, residual.velocity)
-        own = _scores(coloured, [(moved, coloured, 1.0)], mask)
+        own = forward_scores(coloured, [moved], 1.0, mask)
         p.append(_test(problem_of_fixes(N), Made(), effect_unknowns(Made(), {})[:1], own, level, mask, {}).p)
         naive = own.gradient(mask)[0] ** 2 / own.information(mask)[0, 0]
         p[-1] = p[-1], chi2.sf(naive, 1)
@@ -918,11 +935,38 @@ class Jumping:
 @pytest.mark.parametrize('at', [0.101, 0.125, 9.0])
 def test_a_jump_of_the_innovations_is_no_slope(at):
     # given innovations of slope 1, and a decision of the filter that turns near where the fit begins, or nowhere near
-    unknown = Unknown('effect.size', lambda values, recording, x: (values, recording), 0.0, 0.05, 10.0)
-    model = fit(Jumping(at), [unknown], [0.1])
+    model = fit(Jumping(at), [unknown_size(0.05)], [0.1])
     # then the fit goes as far as it may, and is as sure as 200 fixes of a metre in two directions are
     assert model.x[0] == pytest.approx(min(at, 0.2), abs=0.1) and model.x[0] < at
     assert model.sigma()[0] == pytest.approx(1.0 / np.sqrt(400.0), rel=0.3)
+
+
+def test_a_jump_of_few_innovations_does_not_stop_the_fit_of_a_noise_level():
+    # given innovations twice as large as expected, and a noise level: the variances are e^(2 x) times as large. From
+    # x = 1/3 on the filter decides otherwise, by which three of 200 innovations are 6 m larger
+    rng = np.random.default_rng(5)
+    z, jumping = 2.0 * rng.standard_normal((200, 2)), np.arange(200)[:, None] % 90 == 20
+
+    def residuals(unknowns, points):
+        return [Residual(z + 6.0 * np.sign(z) * (jumping & (x > 1 / 3)),
+                         np.exp(2 * x) * np.tile([1.0, 0.0, 1.0], (200, 1)), np.zeros(200), np.zeros((200, 2)))
+                for [x] in points]
+    problem = SimpleNamespace(mask=np.ones(200, dtype=bool), residuals=residuals)
+    # when it is fitted from a point whose difference reaches over the jump
+    model = fit(problem, [unknown_size(0.05, noise=True, one_sided=True)], [0.3])
+    # then it goes on to where they are as large as expected: at ln 2, or beyond it because of the larger ones
+    assert np.log(2.0) - 0.1 < model.x[0] < np.log(2.0) + 0.25
+
+
+def test_a_jump_of_one_innovation_is_no_slope_of_it():
+    # given innovations of slope 1, one of which jumps by two standard deviations beside the point
+    def at(x):
+        z = np.full((N, 2), x[0])
+        z[7] += 2.0 * (x[0] > 0.03)
+        return Residual(z, np.tile([1.0, 0.0, 1.0], (N, 1)), np.zeros(N), np.zeros((N, 2)))
+    found = scores_at(at, np.array([0.0]), 0.05, np.ones(N, dtype=bool))
+    # then the information is that of the slope: one for each of two components
+    assert found.information(np.ones(N, dtype=bool))[0, 0] == pytest.approx(2.0 * N)
 
 
 @pytest.mark.parametrize('name, bounds, factor, said', [

@@ -23,10 +23,14 @@ ENOUGH_GAIN = 0.2
 FEWEST_SEEN = 0.98
 #: a standard deviation counts what goes together over such a part of a drive, too
 LONGEST_PART = 8
-#: ratio of the squares of the changes on both sides of a point, from which on the innovations jump on one side: the
-#: filter decides otherwise there (a standstill or none), and a difference across that is no derivative. Where they are
-#: smooth it is near 1
+#: ratio of the squares of the changes on both sides of a point, from which on an innovation jumps on one side: the
+#: filter decides otherwise there (a standstill or none), and a difference across that is no derivative. Where it is
+#: smooth the ratio is near 1
 JUMP = 10.0
+#: standard deviations of an innovation, largest derivative of it by the logarithm of a noise level: a larger change is
+#: a jump. The noise changes the weight of what has been measured before, so that e times of it moves a prediction by
+#: about its own standard deviation
+NOISE_SLOPE = 2.0
 
 
 @dataclass(frozen=True)
@@ -57,8 +61,8 @@ def scores(problem: Problem, unknowns: Sequence[Unknown], x, at: Residual | None
            quick: bool = False) -> tuple[Residual, Scores]:
     """Residual at `x` and the scores of `unknowns` there, by differences between runs of the filter.
 
-    Central differences, or forward ones, as each unknown asks; quick: forward ones for all. Where the innovations jump
-    on one side of `x`, differences on the other side only.
+    Central differences, or forward ones, as each unknown asks; quick: forward ones for all. Where the innovation of a
+    fix jumps on one side of `x`, its difference on the other side only.
     """
     x = np.asarray(x, dtype=float)
     if quick:
@@ -70,23 +74,30 @@ def scores(problem: Problem, unknowns: Sequence[Unknown], x, at: Residual | None
     found = problem.residuals(unknowns, points)
     if at is None:
         at, *found = found
-    pairs = []
+    slopes = []
     for unknown in unknowns:
         plus = found.pop(0)
-        pairs.append((plus, at, unknown.step) if unknown.one_sided else
-                     _smooth(plus, at, found.pop(0), unknown.step, problem.mask))
-    return at, _scores(at, pairs, problem.mask)
+        slopes.append(_slopes(at, plus, at if unknown.one_sided else found.pop(0), unknown))
+    return at, _scores(at, slopes, problem.mask)
 
 
-def _smooth(plus: Residual, at: Residual, minus: Residual, step: float, mask) -> tuple[Residual, Residual, float]:
-    """The two of three residuals between which the innovations do not jump, and the distance between these."""
+def _slopes(at: Residual, plus: Residual, minus: Residual, unknown: Unknown) -> list[np.ndarray]:
+    """Derivatives of z, s and beside by one unknown, from the residuals on both sides of `at`, or on one side and `at`
+    itself."""
     factors = at.factors()
-    ahead, behind = (float((_finite(whiten(factors, other.z - at.z))[mask] ** 2).sum()) for other in (plus, minus))
-    if ahead > JUMP * behind:
-        return at, minus, step
-    if behind > JUMP * ahead:
-        return plus, at, step
-    return plus, minus, 2 * step
+    ahead, behind = ((_finite(whiten(factors, (other.z - at.z) / unknown.step)) ** 2).sum(axis=1)
+                     for other in (plus, minus))
+    jumps_ahead, jumps_behind = ahead > JUMP * behind, behind > JUMP * ahead
+    if unknown.one_sided:
+        jumps_ahead, jumps_behind = unknown.noise & (ahead > NOISE_SLOPE**2), np.zeros(len(ahead), dtype=bool)
+    distance = np.where(jumps_ahead | jumps_behind | unknown.one_sided, unknown.step, 2 * unknown.step)
+
+    def slope(name):
+        middle, after, before = (getattr(one, name) for one in (at, plus, minus))
+        shape = (-1, *(1,) * (middle.ndim - 1))
+        jumps, jumped = jumps_ahead.reshape(shape), jumps_behind.reshape(shape)
+        return (np.where(jumps, middle, after) - np.where(jumped, middle, before)) / distance.reshape(shape)
+    return [slope(name) for name in ('z', 's', 'beside')]
 
 
 def _finite(values: np.ndarray) -> np.ndarray:
@@ -95,28 +106,28 @@ def _finite(values: np.ndarray) -> np.ndarray:
     return np.where(np.abs(values) < LARGEST, values, 0.0)
 
 
-def _scores(at: Residual, pairs, mask) -> Scores:
+def _scores(at: Residual, slopes: Sequence[list[np.ndarray]], mask) -> Scores:
     """d log L = -tr(S^-1 dS) / 2 + z' S^-1 dS S^-1 z / 2 - dz' S^-1 z, with information tr(S^-1 dS S^-1 dS) / 2 +
-    dz' S^-1 dz; pairs: residuals on both sides and the distance between them."""
+    dz' S^-1 dz; slopes: by each unknown, those of z, s and beside."""
     factors, u = at.factors(), _finite(at.whitened())
-    shifts = [_finite(whiten(factors, (plus.z - minus.z) / step)) for plus, minus, step in pairs]
-    shapes = [_finite(whiten_matrix(factors, (plus.s - minus.s) / step)) for plus, minus, step in pairs]
+    shifts = [_finite(whiten(factors, dz)) for dz, _, _ in slopes]
+    shapes = [_finite(whiten_matrix(factors, ds)) for _, ds, _ in slopes]
     d, m = np.stack(shifts, axis=1), np.stack(shapes, axis=1)
     weight = TAIL**2 / np.maximum((u**2).sum(axis=1), TAIL**2)  # the slope of rho
     squares = np.stack([weight * u[:, 0] ** 2 - 1, 2 * weight * u[:, 0] * u[:, 1], weight * u[:, 1] ** 2 - 1], axis=1)
     score = 0.5 * np.einsum('fpi,fi->fp', m, squares) - weight[:, None] * np.einsum('fpi,fi->fp', d, u)
     sensitivity = np.sqrt(weight)[:, None, None] * np.concatenate([d, m * np.sqrt([0.5, 1.0, 0.5])], axis=2)
-    more = _scores_beside(at, pairs)
+    more = _scores_beside(at, [change for *_, change in slopes])
     score, sensitivity = score + more.score, np.concatenate([sensitivity, more.sensitivity], axis=2)
     score[~mask], sensitivity[~mask] = 0.0, 0.0
     return Scores(score, sensitivity)
 
 
-def _scores_beside(at: Residual, pairs) -> Scores:
+def _scores_beside(at: Residual, slopes: Sequence[np.ndarray]) -> Scores:
     """The same of the innovations that are numbers of their own."""
     z, s = at.beside[:, 0], at.beside[:, 1]
     u = _finite(z / np.sqrt(s))
-    change = np.stack([(plus.beside - minus.beside) / step for plus, minus, step in pairs], axis=1)  # (f, p, 2, b)
+    change = np.stack(slopes, axis=1)  # (f, p, 2, b)
     d, m = _finite(change[:, :, 0] / np.sqrt(s)[:, None]), _finite(change[:, :, 1] / s[:, None])
     weight = TAIL**2 / np.maximum(u**2, TAIL**2)
     score = (0.5 * m * (weight * u**2 - 1)[:, None] - d * (weight * u)[:, None]).sum(axis=2)
