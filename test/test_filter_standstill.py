@@ -116,7 +116,7 @@ def test_what_is_certainly_slow_for_seconds_shows_how_quiet_the_vehicle_is_in_mo
     sample, flags = sample_at(memory, 1), np.zeros(len(time), dtype=bool)
     for k in range(1, len(time)):
         memory[sample + Sample.F_X] = 0.02 * np.sin(3.0 * time[k])
-        flags[k] = is_still(memory, sample, 0.01, 0.25 if time[k] < 30.0 else 0.0, 0.0, False, False)
+        flags[k] = is_still(memory, sample, 0.01, 0.25 if time[k] < 30.0 else 0.0, 0.0, False)
     assert flags[(time > 1.6) & (time < 2.9)].any() and not flags[time > 10.0].any()
 
 
@@ -130,7 +130,7 @@ def test_a_stop_that_passes_for_slow_motion_does_not_hide_the_next_one():
     sample, flags = sample_at(memory, 1), np.zeros(len(time), dtype=bool)
     for k in range(1, len(time)):
         memory[sample + Sample.F_X] = force[k]
-        flags[k] = is_still(memory, sample, 0.01, speed[k], 0.4 if stops[0][k] else 0.1, False, False)
+        flags[k] = is_still(memory, sample, 0.01, speed[k], 0.4 if stops[0][k] else 0.1, False)
     # then the second one is seen, but for its first seconds
     assert flags[stops[1] & (time > 63.5)].all() and not flags[~(stops[0] | stops[1])].any()
 
@@ -144,7 +144,7 @@ def test_what_was_quiet_before_a_gap_does_not_make_a_vehicle_stand_after_it():
         memory[sample + Sample.TIME] = time[k]
         steady, varying = (2.0, 0.2) if time[k] > 25.0 else (0.0, 0.005)
         memory[sample + Sample.F_X] = steady + varying * np.sin(3.0 * time[k])
-        flags[k] = is_still(memory, sample, 0.01, 0.0, 2.0, k == 2000, False)
+        flags[k] = is_still(memory, sample, 0.01, 0.0, 2.0, False)
     # then it stands before the gap, and not after it
     assert flags[(time > 5.0) & (time < 25.0)].all() and not flags[time > 25.0].any()
 

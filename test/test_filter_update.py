@@ -385,7 +385,7 @@ def test_a_stop_of_four_seconds_is_seen_within_three():
     for k in range(1, len(time)):
         memory[sample + Sample.F_X] = force[k]
         certain = 2.0 * (time[k] < 29.0)  # speed that the filter is certain of
-        flags[k] = is_still(memory, sample, 0.01, certain, 0.0, False, False)
+        flags[k] = is_still(memory, sample, 0.01, certain, 0.0, False)
     # then it is one from 3 s after the stop at the latest to the start, and neither while braking nor afterwards
     assert flags[(time > 33.0) & (time < 34.0)].all() and not flags[(time < 30.5) | (time > 34.4)].any()
 
@@ -399,7 +399,7 @@ def test_a_car_that_creeps_as_quietly_as_others_stand_does_not_stand():
     sample, flags = sample_at(memory, 1), np.zeros(len(time), dtype=bool)
     for k in range(1, len(time)):
         memory[sample + Sample.F_X] = force[k]
-        flags[k] = is_still(memory, sample, 0.01, 0.7 * (time[k] < 60.0), 0.0, False, False)  # certain for a minute
+        flags[k] = is_still(memory, sample, 0.01, 0.7 * (time[k] < 60.0), 0.0, False)  # certain for a minute
     # then, no longer certain, it does not stand before it does
     assert not flags[(time > 60.0) & creeps].any() and flags[time > 83.0].all()
 

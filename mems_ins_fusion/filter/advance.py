@@ -154,8 +154,7 @@ def take_sample(memory, samples, i):
     show_noise(memory, k, dt)
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
-        bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
-        still = is_still(memory, sample, dt, speed, sigma, bridged, is_without_fixes(memory, before))
+        still = is_still(memory, sample, dt, speed, sigma, is_without_fixes(memory, before))
         if still and not imu_faults.is_stuck(memory, dt):  # a stuck accelerometer looks still in motion, too
             memory[sample + Sample.STILL] = memory[nonnegative(sample_at(memory, k - 1)) + Sample.STILL] + dt
     _refuse_ahead(memory, time)

@@ -42,7 +42,8 @@ from .trust.hypotheses import Hypothesis
 from .trust.line import FEWEST_ON_LINE, Line
 from .trust.offset import Offset
 from .trust.receiver import CLAIM_CHANGE, Receiver, excess_scatter
-from .trust.standstill import Standing, moves, stands
+from .trust.creep import Creep
+from .trust.standstill import moves, stands
 
 #: columns of the head of the first filter
 Bank = HEAD.place(
@@ -107,7 +108,7 @@ def compare(memory):
             return
     _share_scales(memory, other, r)
     if (excess_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]
-            or memory[r + Standing.CONTRADICTED] == time and memory[r + Hypothesis.FIXES_WRONG] == 0.0):
+            or memory[r + Creep.PROVEN] == time and memory[r + Hypothesis.FIXES_WRONG] == 0.0):
         # the fixes did not fit because they scatter more than was known, or because the vehicle did not stand: they are
         # not wrong
         memory[r + Hypothesis.FIXES_WRONG] = memory[r + Hypothesis.OFFSET + Offset.VARIANCE] = memory[Bank.OPEN] = 0.0

@@ -27,7 +27,7 @@ from .memory import (
 from .prediction import set_radii
 from .trust import contradiction, creep, gyroscopes, hypotheses, new_start, usual_speed
 from .trust.force_noise import force_noise
-from .trust.standstill import SURE_ODDS, Standing, fixes_show_motion, moves, odds_of_standing, wheels_turn
+from .trust.standstill import SURE_ODDS, Standing, moves, odds_of_standing, wheels_turn
 from .trust.white_noise import Shown, hides_turns
 from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_update, product, project, update
 
@@ -61,7 +61,7 @@ def constrain(mem, r, sample):
     sample: position of the IMU sample that led to the state.
     """
     still = (mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0 and not wheels_turn(mem, r)
-             and not fixes_show_motion(mem, r))
+             and not creep.has_crept(mem, r))
     if not still and mem[Head.LATERAL_SIGMA] == 0.0:
         return
     before = hypotheses.position_and_velocity(mem, r)

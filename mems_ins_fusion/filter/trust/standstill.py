@@ -27,7 +27,7 @@ Still = HEAD.place(
     FIRST=3,  # m/s^2, specific force after one low pass
     SECOND=3,  # and after two
     MEAN=3,  # its running mean
-    TIME=1,  # s, of the latest sample
+    TIME=1,  # s, of the latest valid sample
     PART=1,  # number of the part of the window that the latest sample belongs to
     SQUARES=PARTS + 1,  # (m/s^2)^2 s, integral of the squared deviation from the mean over each part,
     DURATIONS=PARTS + 1,  # s, and the duration of each part
@@ -36,10 +36,7 @@ Still = HEAD.place(
     REST=1)  # and of the usual one at rest
 #: of a state
 WheelMotion = ROW.place('WheelMotion', TIME=1)  # s, time of the latest speed or odometry if it shows motion, else 0
-Standing = ROW.place(
-    'Standing',
-    TIME=1,  # s, of the latest zero-velocity update,
-    CONTRADICTED=1)  # s, time of the latest fix that showed that a standstill was a creep; 0: none
+Standing = ROW.place('Standing', TIME=1)  # s, of the latest zero-velocity update
 
 #: number of claimed standard deviations above which a speed shows motion
 MOTION_SIGMAS = 3.0
@@ -60,9 +57,6 @@ LEARNING_SPEED = 0.5 * MOVING_SPEED
 #: standard deviations for that: with fixes that are late, the estimated speed is two sigma for seconds after a stop.
 #: With two, this rest is learned as motion, and stops are missed for ten minutes
 SURE_SIGMAS = 4.0
-
-#: s for which standstills are not used after a contradiction: time to learn the level of motion
-MOTION_TIME = 60.0
 #: s, time constant of each of the two low passes: shorter than the motion of a vehicle, longer than engine vibration
 LOW_PASS = 0.15
 #: s, time constant of the running mean that is subtracted (tilt and bias); the effect of a braking decays with it
@@ -70,8 +64,8 @@ REMOVED_MEAN_TIME = 0.3
 #: s, window of the mean square. In an exponential mean, the effect of a braking hides a stop of four seconds. Shorter
 #: windows would take a change of gears, which is as quiet for a second, for a standstill
 STILL_WINDOW = 1.5
-#: s without a sample after which the window begins anew: a vehicle may drive off meanwhile. Longer than the interval of
-#: slow IMUs. Chosen, not measured
+#: s without a valid sample after which low passes, mean and window begin anew: a vehicle may drive off meanwhile. Longer
+#: than the interval of slow IMUs. Chosen, not measured
 LONGEST_UNSEEN = 0.5
 #: s of slow motion after which the level of motion of a vehicle that has never been faster than MOVING_SPEED is learned
 CREEPING_TIME = 2.0 * STILL_WINDOW
@@ -142,13 +136,6 @@ def wheels_turn(mem, r):
 
 
 @njit(_nrt=False)
-def fixes_show_motion(mem, r):
-    """Whether fixes have recently shown motion although the accelerometers were as quiet as at rest."""
-    latest = mem[r + Standing.CONTRADICTED]
-    return latest != 0.0 and mem[r + Nav.TIME] - latest < MOTION_TIME
-
-
-@njit(_nrt=False)
 def stands(mem, r):
     """Whether a zero-velocity update has recently been applied to the state at r."""
     return mem[r + Nav.TIME] - mem[r + Standing.TIME] < LONGEST_VALID
@@ -175,19 +162,20 @@ def _density(deviation, variance):
 
 
 @njit(_nrt=False)
-def is_still(mem, sample, dt, speed, sigma, anew, without_fixes):
+def is_still(mem, sample, dt, speed, sigma, without_fixes):
     """1 if the vehicle is as quiet as at rest at the sample at `sample`, dt s after the previous one, else 0. Updates
     `Still`.
 
-    speed: certain speed (`certain_speed`), m/s. sigma: of the velocity, m/s. anew: whether samples are missing before
-    this one, so that a change of the specific force means nothing. without_fixes: whether there have been no fixes for
-    some seconds.
+    speed: certain speed (`certain_speed`), m/s. sigma: of the velocity, m/s. without_fixes: whether there have been no
+    fixes for some seconds.
     """
     low, slow, square = min(1.0, dt / LOW_PASS), min(1.0, dt / REMOVED_MEAN_TIME), 0.0
-    first = mem[Still.MOTION] == 0.0
+    first, time = mem[Still.MOTION] == 0.0, mem[sample + Sample.TIME]
+    anew = first or time - mem[Still.TIME] > LONGEST_UNSEEN
+    mem[Still.TIME] = time
     for i in range(3):
         f = mem[sample + Sample.F_X + i]
-        if first or anew:
+        if anew:
             mem[Still.FIRST + i] = mem[Still.SECOND + i] = mem[Still.MEAN + i] = f
         mem[Still.FIRST + i] += low * (f - mem[Still.FIRST + i])
         mem[Still.SECOND + i] += low * (mem[Still.FIRST + i] - mem[Still.SECOND + i])
@@ -196,11 +184,9 @@ def is_still(mem, sample, dt, speed, sigma, anew, without_fixes):
         square += deviation * deviation
     if first:
         mem[Still.MOTION], mem[Still.REST] = math.log(EXPECTED_MOTION), math.log(EXPECTED_REST)
-    time = mem[sample + Sample.TIME]
-    if time - mem[Still.TIME] > LONGEST_UNSEEN:  # what has been before a gap tells nothing of what is after it
+    if anew:
         for i in range(PARTS + 1):
             mem[Still.SQUARES + i] = mem[Still.DURATIONS + i] = 0.0
-    mem[Still.TIME] = time
     mean, seen = _mean_square(mem, square, dt)
     if seen < STILL_WINDOW:
         return 0.0
