@@ -36,13 +36,13 @@ from .memory import (
     yaw_state,
 )
 from .trust import extrapolation, fix_drift, hypotheses, imu_faults, new_start
+from .trust.creep import Creep
 from .trust.extrapolation import Extrapolation
 from .trust.force_noise import learn_from_velocity
 from .trust.hypotheses import Hypothesis
 from .trust.line import FEWEST_ON_LINE, Line
 from .trust.offset import Offset
 from .trust.receiver import CLAIM_CHANGE, Receiver, excess_scatter
-from .trust.creep import Creep
 from .trust.standstill import moves, stands
 
 #: columns of the head of the first filter

@@ -64,8 +64,8 @@ REMOVED_MEAN_TIME = 0.3
 #: s, window of the mean square. In an exponential mean, the effect of a braking hides a stop of four seconds. Shorter
 #: windows would take a change of gears, which is as quiet for a second, for a standstill
 STILL_WINDOW = 1.5
-#: s without a valid sample after which low passes, mean and window begin anew: a vehicle may drive off meanwhile. Longer
-#: than the interval of slow IMUs. Chosen, not measured
+#: s without a valid sample after which low passes, mean and window begin anew: a vehicle may drive off meanwhile.
+#: Longer than the interval of slow IMUs. Chosen, not measured
 LONGEST_UNSEEN = 0.5
 #: s of slow motion after which the level of motion of a vehicle that has never been faster than MOVING_SPEED is learned
 CREEPING_TIME = 2.0 * STILL_WINDOW
