@@ -67,7 +67,7 @@ def _flags(memory, sample, time, body, moves):
         memory[sample + Sample.TIME] = time[k]
         for i in range(6):
             memory[sample + Sample.F_X + i] = body[k, i]
-        flags[k] = is_still(memory, sample, time[k] - time[k - 1], 2.0 * moves[k], 0.0, False, False) != 0.0
+        flags[k] = is_still(memory, sample, time[k] - time[k - 1], 2.0 * moves[k], 0.0, False) != 0.0
     return flags
 
 
