@@ -249,9 +249,14 @@ def _lasting(mem, r, at, claimed):
 def _lasting_factor(mem, r):
     """Factor on the variance of slow errors by the claim. Innovations tell it for each time constant of these errors:
     from LASTING_TIME up to SLOWEST_LASTING_TIME. The claim is believed where it is between both, else the nearer one.
+    Where these errors are larger than claimed, the factor is its expectation, not its median: that of a log-normal
+    distribution, but at most its square, so that a level near zero which is not well known does not make it large.
     """
-    realised = scale(mem, r + Receiver.LASTING_SCALE)
-    return realised if realised > 1.0 else min(realised * SLOWEST_LASTING_TIME / LASTING_TIME, 1.0)
+    at = r + Receiver.LASTING_SCALE
+    level, variance = mem[at + Scale.LOG], max(PRIOR - mem[at + Scale.REDUCED], 0.0)
+    if level > 0.0:
+        return math.exp(level + min(0.5 * variance, level))
+    return min(scale(mem, at) * SLOWEST_LASTING_TIME / LASTING_TIME, 1.0)
 
 
 @njit(_nrt=False)
