@@ -157,10 +157,10 @@ class Case:
 
 
 def case(number: int, upright: bool = False, duration: float = 600.0, any_fixes: bool = False,
-         second: int = 0, rates: Sequence[float] = ()) -> Case:
+         second: int = 0, rates: Sequence[float] = (), fast: bool = False) -> Case:
     """upright: the IMU sits about as its axes say, off by some degrees; else anyhow. duration: s, at most. any_fixes:
     receivers of ANY_RATE, each second one with gaps, instead of the kind's own rate. rates: the same with these, Hz.
-    second: which other drive of this vehicle, with the truth; 0: the first drive."""
+    second: which other drive of this vehicle, with the truth; 0: the first drive. fast: on a motorway."""
     seed = number + SECOND_DRIVE * second
     kind, draw = KINDS[number % len(KINDS)], stream(number, 'estimator')
     offset = float(draw.uniform(-LARGEST_OFFSET, LARGEST_OFFSET))
@@ -184,7 +184,7 @@ def case(number: int, upright: bool = False, duration: float = 600.0, any_fixes:
         motion, vibration, arm = rover(seed, min(duration, 400.0)), None, 0.3 * arm
     else:
         seconds = min(duration, 400.0 if kind == 'car, RTK' else 600.0)
-        motion = replace(REALISTIC, mounting_error=0.0).drive(seconds, seed)
+        motion = motorway(seed, seconds) if fast else replace(REALISTIC, mounting_error=0.0).drive(seconds, seed)
     effects = [(EFFECTS['gnss_time_offset'], {'time_offset': offset}),
                (EFFECTS['gnss_lever_arm'], dict(zip('xyz', arm.tolist())))]
     made = simulate_recording(motion, sensors, receiver, effects, rpy(rotation), seed, vibration=vibration,
@@ -213,11 +213,31 @@ def rover(seed: int, duration: float = 400.0):
             new = [Segment(round(draw.uniform(2, 8), 1))]
         segments += new
         speed += sum(segment.speed_change for segment in new)
-    hills, banks = (drive._random_waves(share, lengths, False, stream(seed, name)) for share, lengths, name in (
-        (0.03, (190.0, 70.0, 26.0), 'grade'), (0.02, (110.0, 37.0, 13.0), 'bank')))
-    path = drive.Path(tuple(segments), course=draw.uniform(-np.pi, np.pi), hills=hills, banks=banks,
-                      axle_to_imu=(0.3, 0.0, -0.2), rotating_earth=True)
-    return follow(path, duration, 50.0)
+    return follow(drive.Path(tuple(segments), course=draw.uniform(-np.pi, np.pi), axle_to_imu=(0.3, 0.0, -0.2),
+                             rotating_earth=True, **_uneven(seed)), duration, 50.0)
+
+
+def _uneven(seed: int) -> dict:
+    return {name: drive._random_waves(share, lengths, False, stream(seed, of)) for name, of, share, lengths in (
+        ('hills', 'grade', 0.03, (190.0, 70.0, 26.0)), ('banks', 'bank', 0.02, (110.0, 37.0, 13.0)))}
+
+
+def motorway(seed: int, duration: float):
+    """Off from rest, three crossings, then a motorway at 25 to 38 m/s with bends of 600 m and more."""
+    draw = stream(seed, 'motorway')
+    segments, speed = [Segment(15.0), _speed_change(0.0, 12.0, 1.5), Segment(8.0)], 12.0
+    for _ in range(3):
+        segments += [_speed_change(12.0, 6.0, 2.0), Segment(5.0, 0.0, draw.choice([-1.0, 1.0]) * np.pi / 2),
+                     _speed_change(6.0, 12.0, 1.5), Segment(round(draw.uniform(4, 8), 1))]
+    while sum(segment.duration for segment in segments) < duration + MARGIN:
+        new = draw.uniform(25.0, 38.0)
+        bend = round(draw.uniform(8, 20), 1)
+        segments += [_speed_change(speed, new, draw.uniform(0.6, 1.5)), Segment(round(draw.uniform(3, 20), 1)),
+                     Segment(bend, 0.0, draw.uniform(-1.0, 1.0) * new / 600.0 * bend * 8 / 15)]
+        speed = new
+    return follow(drive.Path(tuple(segments), course=draw.uniform(-np.pi, np.pi), axle_to_imu=(1.2, 0.3, -0.5),
+                             pitch_per_acceleration=0.006, roll_per_acceleration=0.007, rotating_earth=True,
+                             **_uneven(seed)), duration, 100.0)
 
 
 def what_is_found(of: Case, units: tuple[str, str] = UNITS[0]) -> Configuration:
