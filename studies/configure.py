@@ -4,6 +4,7 @@
     python studies/configure.py drives RESULTS.csv --rates 0.2 0.5 1 2 5 10 20 [the same]
     python studies/configure.py slow --drives 12 --first 7701
     python studies/configure.py joint --drives 180 --first 56501
+    python studies/configure.py bias --drives 25 --first 58214 [--stays 0.03]
     python studies/configure.py simulated [--drives 100]
     python studies/configure.py measured DATA
     python studies/configure.py evidence DATA
@@ -16,6 +17,8 @@ rates, Hz, and, where nothing is run with the file, IMUs in g and deg/s, too. Wi
 one by hand, on a second drive of the same vehicle, with other biases: errors against the truth.
 slow: robots at 0.4 m/s that turn on the spot, with twelve receivers, on level ground and with everything that
 `simulate --drive realistic` has: what is said of the mounting after some minutes, as the live node looks at it.
+bias: what gyroscope.bias of a drive is worth on two others, whose turn-on biases are others; --stays: rad/s, standard
+deviation of a part that is the same in all of them.
 joint: the time offset with the antenna's arm unknown, as `configure` tells it, and with the arm that is in its file.
 simulated: two minutes with a standstill, one right-angled turn and one stop, on hilly roads, in cars with suspension,
 IMUs in arbitrary positions, five receivers; the error of the mounting over its sigma. measured: each recording with its
@@ -274,6 +277,27 @@ def joint(drives: int, first: int, processes: int):
               f'{np.sqrt((given**2).mean()):.3f} | {np.sqrt(written.mean()):.2f} | {np.sqrt(estimated.mean()):.2f} |')
 
 
+def bias(drives: int, first: int, stays: float):
+    """The errors on other drives with the bias that the standstills of the first one show, without it, and as
+    `configure` decides."""
+    of_parameters = SensorErrors.from_parameters
+    for number in range(first, first + drives):
+        same = tuple(stays * stream(number, 'stable').standard_normal(3))
+        SensorErrors.from_parameters = staticmethod(lambda *given, same=same: replace(
+            of_parameters(*given), gyroscope_bias=same))
+        of = case(number, upright=True, duration=300.0, any_fixes=True)
+        found = what_is_found(of)
+        if found.drives[0].noise is None:
+            continue
+        others = [case(number, upright=True, duration=300.0, any_fixes=True, second=k).recording for k in (1, 2)]
+        shown, rows = found.drives[0].noise.bias, []
+        for written in (shown.tolist(), [0.0], found.values['gyroscope.bias']):
+            values = table.check({**found.values, 'gyroscope.bias': written, **TRUTH})
+            rows.append(' / '.join(f'{error:.2g}' for error in np.mean(
+                [measured_errors(errors(values, other)) for other in others], axis=0)))
+        print(f'| {number}, {of.kind} | {", ".join(f"{b:.3f}" for b in shown)} | {" | ".join(rows)} |', flush=True)
+
+
 def one_case(task) -> list[dict]:
     """What `configure` says of a drive, and `diagnose` after it and by hand; a row each."""
     number, diagnosed, any_fixes, second, rates = task
@@ -515,13 +539,14 @@ def evidence(data: Path):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('what', choices=('drives', 'slow', 'joint', 'simulated', 'measured', 'evidence'))
+    parser.add_argument('what', choices=('drives', 'slow', 'joint', 'bias', 'simulated', 'measured', 'evidence'))
     parser.add_argument('data', nargs='?', type=Path, help='folder of the measured recordings, or RESULTS.csv')
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--diagnose', action='store_true')
     parser.add_argument('--any-fixes', action='store_true')
     parser.add_argument('--second', action='store_true')
     parser.add_argument('--rates', type=float, nargs='+', default=())
+    parser.add_argument('--stays', type=float, default=0.0)
     parser.add_argument('--processes', type=int, default=2)
     parser.add_argument('--drives', type=int, default=100)
     options = parser.parse_args()
@@ -532,6 +557,8 @@ def main():
         slow(options.drives, options.first, options.processes)
     elif options.what == 'joint':
         joint(options.drives, options.first, options.processes)
+    elif options.what == 'bias':
+        bias(options.drives, options.first, options.stays)
     elif options.what == 'simulated':
         simulated(options.drives, options.processes)
     else:
