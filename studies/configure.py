@@ -4,6 +4,7 @@
     python studies/configure.py drives RESULTS.csv --rates 0.2 0.5 1 2 5 10 20 [the same]
     python studies/configure.py slow --drives 12 --first 7701
     python studies/configure.py joint --drives 180 --first 56501
+    python studies/configure.py bias --drives 25 --first 58214 [--stays 0.03]
     python studies/configure.py simulated [--drives 100]
     python studies/configure.py measured DATA
     python studies/configure.py evidence DATA
@@ -16,6 +17,8 @@ rates, Hz, and, where nothing is run with the file, IMUs in g and deg/s, too. Wi
 one by hand, on a second drive of the same vehicle, with other biases: errors against the truth.
 slow: robots at 0.4 m/s that turn on the spot, with twelve receivers, on level ground and with everything that
 `simulate --drive realistic` has: what is said of the mounting after some minutes, as the live node looks at it.
+bias: what gyroscope.bias of a drive is worth on two others, whose turn-on biases are others; --stays: rad/s, standard
+deviation of a part that is the same in all of them.
 joint: the time offset with the antenna's arm unknown, as `configure` tells it, and with the arm that is in its file.
 simulated: two minutes with a standstill, one right-angled turn and one stop, on hilly roads, in cars with suspension,
 IMUs in arbitrary positions, five receivers; the error of the mounting over its sigma. measured: each recording with its
@@ -157,10 +160,10 @@ class Case:
 
 
 def case(number: int, upright: bool = False, duration: float = 600.0, any_fixes: bool = False,
-         second: int = 0, rates: Sequence[float] = ()) -> Case:
+         second: int = 0, rates: Sequence[float] = (), fast: bool = False) -> Case:
     """upright: the IMU sits about as its axes say, off by some degrees; else anyhow. duration: s, at most. any_fixes:
     receivers of ANY_RATE, each second one with gaps, instead of the kind's own rate. rates: the same with these, Hz.
-    second: which other drive of this vehicle, with the truth; 0: the first drive."""
+    second: which other drive of this vehicle, with the truth; 0: the first drive. fast: on a motorway."""
     seed = number + SECOND_DRIVE * second
     kind, draw = KINDS[number % len(KINDS)], stream(number, 'estimator')
     offset = float(draw.uniform(-LARGEST_OFFSET, LARGEST_OFFSET))
@@ -184,7 +187,7 @@ def case(number: int, upright: bool = False, duration: float = 600.0, any_fixes:
         motion, vibration, arm = rover(seed, min(duration, 400.0)), None, 0.3 * arm
     else:
         seconds = min(duration, 400.0 if kind == 'car, RTK' else 600.0)
-        motion = replace(REALISTIC, mounting_error=0.0).drive(seconds, seed)
+        motion = motorway(seed, seconds) if fast else replace(REALISTIC, mounting_error=0.0).drive(seconds, seed)
     effects = [(EFFECTS['gnss_time_offset'], {'time_offset': offset}),
                (EFFECTS['gnss_lever_arm'], dict(zip('xyz', arm.tolist())))]
     made = simulate_recording(motion, sensors, receiver, effects, rpy(rotation), seed, vibration=vibration,
@@ -213,11 +216,31 @@ def rover(seed: int, duration: float = 400.0):
             new = [Segment(round(draw.uniform(2, 8), 1))]
         segments += new
         speed += sum(segment.speed_change for segment in new)
-    hills, banks = (drive._random_waves(share, lengths, False, stream(seed, name)) for share, lengths, name in (
-        (0.03, (190.0, 70.0, 26.0), 'grade'), (0.02, (110.0, 37.0, 13.0), 'bank')))
-    path = drive.Path(tuple(segments), course=draw.uniform(-np.pi, np.pi), hills=hills, banks=banks,
-                      axle_to_imu=(0.3, 0.0, -0.2), rotating_earth=True)
-    return follow(path, duration, 50.0)
+    return follow(drive.Path(tuple(segments), course=draw.uniform(-np.pi, np.pi), axle_to_imu=(0.3, 0.0, -0.2),
+                             rotating_earth=True, **_uneven(seed)), duration, 50.0)
+
+
+def _uneven(seed: int) -> dict:
+    return {name: drive._random_waves(share, lengths, False, stream(seed, of)) for name, of, share, lengths in (
+        ('hills', 'grade', 0.03, (190.0, 70.0, 26.0)), ('banks', 'bank', 0.02, (110.0, 37.0, 13.0)))}
+
+
+def motorway(seed: int, duration: float):
+    """Off from rest, three crossings, then a motorway at 25 to 38 m/s with bends of 600 m and more."""
+    draw = stream(seed, 'motorway')
+    segments, speed = [Segment(15.0), _speed_change(0.0, 12.0, 1.5), Segment(8.0)], 12.0
+    for _ in range(3):
+        segments += [_speed_change(12.0, 6.0, 2.0), Segment(5.0, 0.0, draw.choice([-1.0, 1.0]) * np.pi / 2),
+                     _speed_change(6.0, 12.0, 1.5), Segment(round(draw.uniform(4, 8), 1))]
+    while sum(segment.duration for segment in segments) < duration + MARGIN:
+        new = draw.uniform(25.0, 38.0)
+        bend = round(draw.uniform(8, 20), 1)
+        segments += [_speed_change(speed, new, draw.uniform(0.6, 1.5)), Segment(round(draw.uniform(3, 20), 1)),
+                     Segment(bend, 0.0, draw.uniform(-1.0, 1.0) * new / 600.0 * bend * 8 / 15)]
+        speed = new
+    return follow(drive.Path(tuple(segments), course=draw.uniform(-np.pi, np.pi), axle_to_imu=(1.2, 0.3, -0.5),
+                             pitch_per_acceleration=0.006, roll_per_acceleration=0.007, rotating_earth=True,
+                             **_uneven(seed)), duration, 100.0)
 
 
 def what_is_found(of: Case, units: tuple[str, str] = UNITS[0]) -> Configuration:
@@ -252,6 +275,27 @@ def joint(drives: int, first: int, processes: int):
         unknown, given, sigma, written, estimated = np.array([row[1:] for row in rows if kind in (row[0], 'all')]).T
         print(f'| {kind} | {len(sigma)} | {np.sqrt((unknown**2).mean()):.3f} | {held(unknown, sigma)} | '
               f'{np.sqrt((given**2).mean()):.3f} | {np.sqrt(written.mean()):.2f} | {np.sqrt(estimated.mean()):.2f} |')
+
+
+def bias(drives: int, first: int, stays: float):
+    """The errors on other drives with the bias that the standstills of the first one show, without it, and as
+    `configure` decides."""
+    of_parameters = SensorErrors.from_parameters
+    for number in range(first, first + drives):
+        same = tuple(stays * stream(number, 'stable').standard_normal(3))
+        SensorErrors.from_parameters = staticmethod(lambda *given, same=same: replace(
+            of_parameters(*given), gyroscope_bias=same))
+        of = case(number, upright=True, duration=300.0, any_fixes=True)
+        found = what_is_found(of)
+        if found.drives[0].noise is None:
+            continue
+        others = [case(number, upright=True, duration=300.0, any_fixes=True, second=k).recording for k in (1, 2)]
+        shown, rows = found.drives[0].noise.bias, []
+        for written in (shown.tolist(), [0.0], found.values['gyroscope.bias']):
+            values = table.check({**found.values, 'gyroscope.bias': written, **TRUTH})
+            rows.append(' / '.join(f'{error:.2g}' for error in np.mean(
+                [measured_errors(errors(values, other)) for other in others], axis=0)))
+        print(f'| {number}, {of.kind} | {", ".join(f"{b:.3f}" for b in shown)} | {" | ".join(rows)} |', flush=True)
 
 
 def one_case(task) -> list[dict]:
@@ -495,13 +539,14 @@ def evidence(data: Path):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('what', choices=('drives', 'slow', 'joint', 'simulated', 'measured', 'evidence'))
+    parser.add_argument('what', choices=('drives', 'slow', 'joint', 'bias', 'simulated', 'measured', 'evidence'))
     parser.add_argument('data', nargs='?', type=Path, help='folder of the measured recordings, or RESULTS.csv')
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--diagnose', action='store_true')
     parser.add_argument('--any-fixes', action='store_true')
     parser.add_argument('--second', action='store_true')
     parser.add_argument('--rates', type=float, nargs='+', default=())
+    parser.add_argument('--stays', type=float, default=0.0)
     parser.add_argument('--processes', type=int, default=2)
     parser.add_argument('--drives', type=int, default=100)
     options = parser.parse_args()
@@ -512,6 +557,8 @@ def main():
         slow(options.drives, options.first, options.processes)
     elif options.what == 'joint':
         joint(options.drives, options.first, options.processes)
+    elif options.what == 'bias':
+        bias(options.drives, options.first, options.stays)
     elif options.what == 'simulated':
         simulated(options.drives, options.processes)
     else:

@@ -5,7 +5,8 @@
 
 DATA: folder of the recordings. OUTPUT: for the params files and results; a recording whose result is there already is
 not diagnosed again. RECORDING: only these, by the first letters of `recording, settings`; in ways `drive NUMBER` is any
-simulated drive, from 300 on with receivers of 0.2 to 10 Hz, some with gaps, as in `studies/configure.py --any-fixes`.
+simulated drive, from 300 on with receivers of 0.2 to 10 Hz, some with gaps, as in `studies/configure.py --any-fixes`,
+`drive NUMBER motorway` the same vehicle at 25 to 38 m/s.
 settings: with the defaults, and with what was before them. ways: from nothing but the topics, from the file that
 `configure` writes, and from one by hand; of the recordings and of simulated drives, whose truth is known. Are the time
 offsets, arms, mountings, scales and coloured noise that the three tell alike within their sigmas, and does configure's
@@ -152,11 +153,16 @@ class Way:
         return self.verdict not in ('not_usable', 'none')
 
 
-def simulated_bag(number: int, output: Path) -> tuple[Path, configure.Case]:
+def simulated_drive(name: str, second: int = 0) -> configure.Case:
+    """name: `drive NUMBER` or `drive NUMBER motorway`."""
+    number = int(name.split()[1])
+    return configure.case(number, upright=True, duration=SECONDS, any_fixes=number >= ANY_FIXES, second=second,
+                          fast=name.endswith('motorway'))
+
+
+def simulated_bag(name: str, output: Path) -> tuple[Path, configure.Case]:
     """A simulated drive as a bag, and its truth."""
-    of, bag = (
-        configure.case(number, upright=True, duration=SECONDS, any_fixes=number >= ANY_FIXES),
-        output / f'drive_{number}')
+    number, of, bag = int(name.split()[1]), simulated_drive(name), output / name.replace(' ', '_')
     made = of.recording
     if number in GAPS:
         part = [(samples.stamp - made.imu.stamp[0]) % 60_000_000_000 * 1e-9 for samples in (made.imu, made.gnss)]
@@ -290,11 +296,10 @@ def agree(found: dict[str, Way]) -> str:
     return f'{"-" if not apart else "yes" if max(apart.values()) < 2.0 else "no"} | {rows or "-"}'
 
 
-def on_other_drives(drive: int, found: dict[str, Way], output: Path) -> list[str]:
+def on_other_drives(drive: str, found: dict[str, Way], output: Path) -> list[str]:
     """For each way its verdict, and the errors of its file as given and as corrected on OTHERS against the truth:
     RMS with fixes, mean largest error in 10, 30 and 60 s without, m."""
-    others = [configure.case(drive, upright=True, duration=SECONDS, any_fixes=drive >= ANY_FIXES, second=k).recording
-              for k in OTHERS]
+    others = [simulated_drive(drive, k).recording for k in OTHERS]
 
     def errors(values: dict) -> str:
         each = [configure.measured_errors(configure.errors(table.check({**values, **configure.TRUTH}), other))
@@ -304,7 +309,7 @@ def on_other_drives(drive: int, found: dict[str, Way], output: Path) -> list[str
     rows = []
     for i, (way, end) in enumerate(found.items()):
         given, corrected = (table.check(params_file.load_yaml(file) | {'fitted_to': []})
-                            for file in (output / f'drive_{drive}_{i}.yaml', end.file))
+                            for file in (output / f'{drive.replace(" ", "_")}_{i}.yaml', end.file))
         rows.append(f'| {drive}, {way} | {end.verdict} | {errors(given)} | '
                     f'{errors(corrected) if corrected != given else "the same file"} |')
     return rows
@@ -338,7 +343,7 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
             found = three_ways(name, bag, _lines(truth, PARTS.get(name, ''), OFTEN), FIXES.get(name, ''), by_hand,
                                output)
         else:
-            bag, of = simulated_bag(int(name.split()[1]), output)
+            bag, of = simulated_bag(name, output)
             kind = f'{of.kind}, gaps' if int(name.split()[1]) in GAPS else of.kind
             mounting = np.degrees(rpy(of.rotation))
             title = (f'{name} ({kind}; truth {of.offset:.3f} s, {", ".join(f"{a:.2f}" for a in of.arm)} m, '
@@ -348,7 +353,7 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
             found = three_ways(file := name.replace(' ', '_'), bag, OFTEN, '', _lines(
                 f'imu.mounting_rpy: {seen}', f'gnss.lever_arm: {measured}'), output)
             judged.append(against_truth(of, looked(file, output), found))
-            true += on_other_drives(int(name.split()[1]), found, output)
+            true += on_other_drives(name, found, output)
         for way, end in found.items():
             print(way_row(title, way, end), flush=True)
         agreed[name] = agree(found)

@@ -56,6 +56,13 @@ def test_a_misspelled_name_is_answered_with_the_one_meant(argv, meant, capsys):
     assert len(text.splitlines()) == 1 or argv[0] not in TOOLS, text
 
 
+@pytest.mark.parametrize('argv', [['diagnose', 'my bag'], ['diagnose', '--output', 'x', 'my bag'],
+                                  ['configure', '--overwrite', 'my bag', '--output', 'x'], ['characterize', 'my bag']])
+def test_a_recording_without_its_option_is_answered_with_what_to_write(argv, capsys):
+    status, text = said(capsys, *argv)
+    assert status == 2 and "'my bag' stands without its option: write --bag 'my bag'" in text
+
+
 @pytest.mark.parametrize(['words', 'hint'], [
     (['--gnss-topic', '/fix'], 'gnss_topic is a parameter; write it into a file and give that with --params-file'),
     (['--gnss.sigma=2'], 'gnss.sigma is a parameter; write it into a file and give that with --params-file'),

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from mems_ins_fusion.__main__ import main
 from mems_ins_fusion.configuration.check import check, check_setup, compare_mounting
 from mems_ins_fusion.configuration.configure import configure, configured, evidence_of_recording
-from mems_ins_fusion.configuration.drive_settings import vehicle_settings
+from mems_ins_fusion.configuration.drive_settings import _turn_on_bias, vehicle_settings
 from mems_ins_fusion.configuration.mounting import Mounting, deviation, estimate_mounting, rpy
-from mems_ins_fusion.configuration.noise import find_noise
+from mems_ins_fusion.configuration.noise import Noise, find_noise
 from mems_ins_fusion.configuration.offset import estimate_offset
 from mems_ins_fusion.configuration.topics import Candidate, Topics
 from mems_ins_fusion.configuration.track import _low_pass
@@ -476,7 +476,18 @@ def test_noise_and_biases_at_rest_are_those_simulated(bag):
     assert result.drives[0].noise.seconds > 15.0
     truth = recording(mounting=[0.0, 0.0, QUARTER], sigma=0.05).imu.angular_rate[:1400].mean(axis=0)
     # the bias wanders by that, to the second stop
-    assert result.values['gyroscope.bias'] == pytest.approx(truth, abs=1e-3)
+    assert result.drives[0].noise.bias == pytest.approx(truth, abs=1e-3)
+
+
+@pytest.mark.parametrize('starts, written', [
+    ([0.019], 0.0),  # one turn-on bias of 0.01 rad/s (one sigma) explains it, and the next start has another one
+    ([-0.021], -0.021), ([0.06], 0.06),  # no turn-on bias explains that: part of it stays
+    ([0.016, 0.014], 0.015), ([0.016, -0.016], 0.0)])  # two starts show what stays to 0.007 rad/s
+def test_a_bias_of_the_gyroscopes_is_set_where_the_next_start_has_it(starts, written):
+    rests = [Noise(np.ones(3), np.ones(3), 100.0, 0.01, np.array([0.001, bias, 0.0])) for bias in starts]
+    setting = _turn_on_bias(rests)
+    assert setting.value == pytest.approx([0.001, written, 0.0] if written else [0.0])
+    assert ('left at zero' in setting.why[0]) == (not written)
 
 
 @pytest.mark.parametrize('shake', ['engine', 'knock'])

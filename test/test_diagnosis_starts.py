@@ -277,6 +277,33 @@ def test_a_scale_of_the_gyroscopes_that_the_course_contradicts_is_none(late):
     assert implausible('gnss_lag', {'lag': Estimate(0.9, 0.1, 's^2')}, shown) == ''
 
 
+@pytest.mark.parametrize(('learns', 'answer', 'sets'), [
+    (True, 'cannot_tell', False), (True, 'worse', False), (True, 'better', True), (False, 'cannot_tell', True)])
+def test_how_fixes_scatter_is_set_only_where_errors_are_smaller_with_it(late, monkeypatch, learns, answer, sets):
+    # given an offset and coloured noise that the search has added, and a filter that learns how fixes scatter or not
+    given = table.check({'gnss.adapt_sigma': learns})
+    problem = Problem(late, given)
+    effects = [EFFECTS['gnss_time_offset'], EFFECTS['gnss_coloured_noise']]
+    unknowns = [u for effect in effects for u in effect_unknowns(effect, {'tau': 40.0}, problem.attitude)]
+    model = SimpleNamespace(unknowns=unknowns, x=np.array([0.3, 4.0]))
+    findings = tuple(Finding(e.name, [e.name], {}, 20.0, 1e-6, True, HeldOut(9.0, 1e-6, [])) for e in effects)
+    known = SearchState(problem, model, None, (), estimates=(np.array([0.2, 2.25]),), findings=findings)
+    compared = []
+    trials = SimpleNamespace(library=effects, origin=problem, errors=lambda models, full: compared.append(models))
+    monkeypatch.setattr(conclusion, 'verdict_on', lambda *errors, effects: SimpleNamespace(answer=answer))
+    # when what is to be set is chosen
+    left = conclusion._scatter_proven(known, trials)
+    # then the noise is set where errors are certainly smaller with it, or the filter cannot learn it; else it is only
+    # told, and the offset beside it stays, in the values of each part, too
+    name = 'gnss.coloured_noise.sigma'
+    assert left.corrected()['gnss.time_offset'] == pytest.approx(0.3)
+    assert left.corrected()[name] == pytest.approx(2.0 if sets else 0.0)
+    assert left.by_part()[0][name] == pytest.approx(1.5 if sets else 0.0)
+    assert [f.added for f in left.findings] == [True, sets] and left.model is known.model
+    if learns:
+        assert [models[0][name] for models in compared] == pytest.approx([0.0, 1.5])
+
+
 def test_nothing_stands_for_an_offset_that_the_track_shows_for_certain(late, monkeypatch):
     # given an offset and coloured noise, which explain as much, errors that do not shrink with the offset, and a track
     # that shows it

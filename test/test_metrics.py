@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -55,6 +56,23 @@ def test_a_receiver_that_is_behind_is_no_error_of_who_knows_by_how_much():
     assert np.allclose(errors_of(run, replace(said, behind=True)).horizontal, 0.0, atol=1e-6)
     assert np.allclose(errors_of(run, said).horizontal, np.hypot(2.0, 1.0), atol=1e-6)
 
+
+def test_fixes_that_are_late_are_no_error_of_a_filter_that_estimates_by_how_much():
+    # given positions that are right at 10 m/s north and 4 m/s west, fixes stamped 0.3 s late, and a filter whose states
+    # have that offset from the third second on
+    time = np.arange(5.0)
+    late = np.array([0.0, 0.0, 0.3, 0.3, 0.3])
+    run = replace(make_run(time, 10.0 * time, -4.0 * time, v_n=10.0, v_e=-4.0),
+                  extras=np.column_stack([np.ones(5), late]),
+                  config=SimpleNamespace(extras=[SimpleNamespace(name=name) for name in ('pitch', 'time_offset')]))
+    said = make_truth(time, 10.0 * (time - 0.3), -4.0 * (time - 0.3))
+    # then fixes as the truth show no error where it is known; a reference of another clock shows all of it
+    known = errors_of(run, replace(said, late=True))
+    assert known.horizontal == pytest.approx(0.3 * np.hypot(10.0, 4.0) * (late == 0.0), abs=1e-4)
+    assert errors_of(run, said).horizontal == pytest.approx(np.full(5, 0.3 * np.hypot(10.0, 4.0)), abs=1e-4)
+    # and without such a state nothing is taken away
+    without = replace(run, extras=np.empty((5, 0)), config=SimpleNamespace(extras=[]))
+    assert errors_of(without, replace(said, late=True)).horizontal == pytest.approx(errors_of(run, said).horizontal)
 
 
 TIME = np.arange(5.0)

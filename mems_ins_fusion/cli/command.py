@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Callable
 
@@ -21,7 +22,8 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args=None, namespace=None):
         # check for unknown options before missing ones: a missing option is often misspelled
-        for word in sys.argv[1:] if args is None else args:
+        words = list(sys.argv[1:] if args is None else args)
+        for word in words:
             option = word.partition('=')[0]
             if option.startswith('--') and option != '--' and option not in self._option_string_actions:
                 known = [name for name in self._option_string_actions if name.startswith('--')]
@@ -29,7 +31,18 @@ class Parser(argparse.ArgumentParser):
                 self.error(f"unknown option '{option}'{hint}")
             if word in ('-p', '--ros-args') and '--params-file' in self._option_string_actions:
                 self.error(f"'{word}' is for nodes: parameters are given in a file, with --params-file")
+        loose = self._without_option(words)
+        if loose and '--bag' in self._option_string_actions and not any(w.startswith('--bag') for w in words):
+            self.error(f"'{loose}' stands without its option: write --bag {shlex.quote(loose)}")
         return super().parse_known_args(args, namespace)
+
+    def _without_option(self, words: list[str]) -> str:
+        """The first of `words` that is neither an option nor the value of one; '' if the tool takes such words."""
+        if self._get_positional_actions():
+            return ''
+        known = self._option_string_actions
+        return next((word for before, word in zip(['', *words], words) if not word.startswith('-')
+                     and (before not in known or known[before].nargs == 0)), '')
 
     def _in_params_file(self, name: str) -> str:
         """Hint that `name` is a parameter, not an option; '' where it is none, or no file of them is taken."""

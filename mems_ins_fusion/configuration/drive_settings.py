@@ -7,6 +7,7 @@ import numpy as np
 
 from mems_ins_fusion.configuration.input_settings import input_settings
 from mems_ins_fusion.configuration.mounting import BIAS_SIGMA, Mounting, deviation, rpy
+from mems_ins_fusion.configuration.noise import Noise
 from mems_ins_fusion.configuration.receiver import TOO_SURE, Receiver
 from mems_ins_fusion.configuration.remaining import ARM
 from mems_ins_fusion.configuration.setting import (
@@ -25,6 +26,7 @@ from mems_ins_fusion.configuration.vehicle import LARGEST_ALIKE
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.parameters.table import defaults
 from mems_ins_fusion.recordings.motion import UNSTATED_SIGMA
+from mems_ins_fusion.recordings.remarks import count_of
 from mems_ins_fusion.recordings.transforms import BASE
 from mems_ins_fusion.recordings.transforms import TOPIC as TF
 from mems_ins_fusion.recordings.units import RATE, Units
@@ -223,14 +225,24 @@ def _noise_settings(drives, mounting):
         for sensor, density in (('accelerometer', best.force_density), ('gyroscope', best.rate_density)):
             if min(density) > 0.0:  # the noise of a sensor with constant output is not configured
                 yield Setting(f'{sensor}.noise_density', _significant(density), (why,))
-        sigma = ', '.join(f'{s:.1g}' for s in best.bias_sigma)
-        yield Setting('gyroscope.bias', _significant(best.bias), (
-            f'mean over {best.seconds:.0f} s at rest, sigma {sigma} rad/s; the next start has another one',))
+        yield _turn_on_bias([drive.noise for drive in drives if drive.noise is not None])
     if mounting is not None and mounting.spans is not None:
         sure = is_sure(float(np.linalg.norm(mounting.bias)), mounting.bias_sigma)
         yield Setting('accelerometer.bias', _significant(mounting.bias, 2) if sure else [0.0], (
             f'specific force less acceleration and gravity: {np.linalg.norm(mounting.bias):.2g} +- '
             f'{mounting.bias_sigma:.2g} m/s^2{"" if sure else left_at_zero_text()}',))
+
+
+def _turn_on_bias(rests: list[Noise]) -> Setting:
+    """gyroscope.bias from the standstills of each drive. The next start has another turn-on bias, so one start shows
+    what stays of it only to gyroscope.initial_sigma, however long it stood; the filter's sigma is that, too."""
+    bias = np.mean([rest.bias for rest in rests], axis=0)
+    turn_on = defaults()['gyroscope.initial_sigma'][0] / math.sqrt(len(rests))
+    sure = is_sure(float(np.abs(bias).max()), turn_on)
+    return Setting('gyroscope.bias', _significant(bias) if sure else [0.0], (
+        f'mean at rest ({count_of(len(rests), "start")}): {", ".join(f"{b:.2g}" for b in bias)} rad/s; the next start '
+        f'has another turn-on bias, so what stays is known to {turn_on:.2g} rad/s{"" if sure else left_at_zero_text()}',
+    ))
 
 
 def vehicle_settings(drives):

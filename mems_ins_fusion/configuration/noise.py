@@ -24,14 +24,13 @@ _OF_MEDIANS = 0.37
 @dataclass(frozen=True)
 class Noise:
     """force_density, rate_density: (3,) m/s^2/sqrt(Hz) and rad/s/sqrt(Hz). seconds: of the standstills they are from.
-    part: standard deviation of the densities, relative. bias, bias_sigma: (3,) rad/s of the gyroscopes at rest."""
+    part: standard deviation of the densities, relative. bias: (3,) rad/s of the gyroscopes at rest."""
 
     force_density: np.ndarray
     rate_density: np.ndarray
     seconds: float
     part: float
     bias: np.ndarray
-    bias_sigma: np.ndarray
 
 
 def find_noise(imu: ImuSamples, still: np.ndarray) -> Noise | None:
@@ -58,12 +57,7 @@ def find_noise(imu: ImuSamples, still: np.ndarray) -> Noise | None:
     force, rate = (np.full(3, densities[best[axis], axis]) for axis in least)
     part = float((2.0 * degrees[best[least]].min()) ** -0.5)
     rates = np.concatenate([rest[:, 3:] for rest in rests])
-    means = np.array([rest[:, 3:].mean(axis=0) for rest in rests])
-    weight = np.array([len(rest) for rest in rests]) / len(rates)
-    # of standstills that do not agree the bias wanders between, or the vehicle creeps in one
-    scatter = np.sqrt(weight @ (means - np.median(rates, axis=0)) ** 2 / len(rests))
-    return Noise(force, rate, float(still.sum() * interval), part, np.median(rates, axis=0),
-                 np.maximum(scatter, rate / np.sqrt(len(rates) * interval)))
+    return Noise(force, rate, float(still.sum() * interval), part, np.median(rates, axis=0))
 
 
 def _sizes(rests, interval) -> list[int]:

@@ -22,7 +22,7 @@ from .held_out import HeldOut
 from .known import SearchState
 from .measured import MeasuredErrors, errors_near_30_s, in_common
 from .noise import LARGEST_FACTOR
-from .noise_levels import WORTH, choose, multiplied, predictions
+from .noise_levels import WORTH, choose, learns_scatter, multiplied, predictions
 from .plausible import implausible
 from .problem import Problem
 from .trial_runs import CHOOSING, LOOKING, MEASURING, TrialRuns
@@ -89,6 +89,7 @@ def concluded(known: SearchState, trials: TrialRuns) -> Diagnosis:
     """The diagnosis: the corrections that are proven, and the errors before and after."""
     trials.origin.watched(None)
     trials.tell(CHOOSING, 'choosing noise levels')
+    known = _scatter_proven(known, trials)
     given = trials.origin.given
     configured = Correction(given, [given], {}, False)
     fitted = _with_noise_levels(configured, trials)
@@ -141,6 +142,20 @@ def concluded(known: SearchState, trials: TrialRuns) -> Diagnosis:
     if len(drives) < 2:
         return whole
     return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])
+
+
+def _scatter_proven(known: SearchState, trials: TrialRuns) -> SearchState:
+    """`known` in which an effect that only says how fixes scatter, where the filter learns that itself, is not added
+    unless errors are certainly smaller with it: predictions of fixes whose scatter is known are better even where the
+    vehicle is no better known. The model keeps it, as the sigmas of the others are those beside it."""
+    scatter = {effect.name for effect in trials.library if effect.only_scatter and learns_scatter(trials.origin.given)}
+    for finding in [f for f in known.findings if f.added and f.name in scatter]:
+        without = replace(known, findings=tuple(
+            _only_told(f, '') if f is finding else f for f in known.findings))
+        errors = (trials.errors(one.by_part(), full=True) for one in (without, known))
+        if verdict_on(*errors, effects=True).answer != BETTER:
+            known = without
+    return known
 
 
 def _chosen(tried: list[tuple[MeasuredCorrection, Verdict]], before: MeasuredErrors,
@@ -398,7 +413,7 @@ def _final_findings(known: SearchState, estimates: dict[str, dict[str, Estimate]
     effects, given = {e.name: e for e in trials.library}, trials.origin.given
     for finding in known.findings:
         own, parameters = estimates[finding.name], finding.parameters
-        if finding.added and own:
+        if own:
             parameters = {n: own.get(n, e) for n, e in parameters.items() if n in own or e.sigma is None}
         parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
         if not finding.added:  # what is less than PLAIN is no news

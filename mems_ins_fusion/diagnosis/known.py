@@ -41,9 +41,14 @@ class SearchState:
         return sum(u.noise for u in self.model.unknowns)
 
     def corrected(self) -> dict:
-        """The user's parameters with the effects found so far."""
-        return self.problem.corrected(self.model.unknowns, self.model.x)
+        """The user's parameters with the effects that are added; the model may have others that are only told."""
+        return self._with_added(self.model.x)
 
     def by_part(self) -> list[dict]:
         """The same with the estimates without each part; a single one if nothing was estimated."""
-        return [self.problem.corrected(self.model.unknowns, x) for x in self.estimates] or [self.corrected()]
+        return [self._with_added(x) for x in self.estimates] or [self.corrected()]
+
+    def _with_added(self, x: np.ndarray) -> dict:
+        added = {finding.name for finding in self.findings if finding.added}
+        kept = [i for i, unknown in enumerate(self.model.unknowns) if unknown.effect in added]
+        return self.problem.corrected([self.model.unknowns[i] for i in kept], x[kept])

@@ -47,8 +47,12 @@ def adjustable(values: dict) -> list[str]:
     names = [f'{sensor}.{part}' for sensor in ('gyroscope', 'accelerometer') for part in ('noise_density', model)]
     if values['vehicle.non_holonomic']:
         names.append('vehicle.non_holonomic_sigma')
-    adapts = values['gnss.adapt_sigma'] and values['mechanization'] == 'strapdown'
-    return names if adapts else ['gnss.sigma', *names]
+    return names if learns_scatter(values) else ['gnss.sigma', *names]
+
+
+def learns_scatter(values: dict) -> bool:
+    """Whether a filter with `values` learns from the fixes how they scatter."""
+    return values['gnss.adapt_sigma'] and values['mechanization'] == 'strapdown'
 
 
 def choose(values: dict, errors: Callable[[Sequence[dict]], list[MeasuredErrors]], part_of: Callable, count: int,

@@ -78,6 +78,8 @@ class Effect:
     tried: tuple[dict, ...] = ({},)
     #: names of tried parameters that are estimated as well once the effect is in the model
     refined: tuple[str, ...] = ()
+    #: whether it only says how fixes scatter: it weighs them, and corrects nothing
+    only_scatter: bool = False
 
     @property
     def traced(self) -> tuple[EffectParameter, ...]:

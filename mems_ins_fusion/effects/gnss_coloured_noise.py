@@ -24,6 +24,7 @@ class GnssColouredNoise(Effect):
 
     tried = ({'tau': 10.0}, {'tau': 40.0}, {'tau': 160.0})
     refined = ('tau',)
+    only_scatter = True
 
     def distort_fixes(self, drive, time, position, values, rng):
         error = gauss_markov_at(time, values['tau'], values['sigma'] * rng.standard_normal((len(time), 2)))

@@ -38,7 +38,9 @@ class Truth:
 
     reference: positions of the point `lever_arm` (3,) m from the IMU, body axes forward-right-down. variance (m,): of
     its north and of its east position, m^2 (0: assumed exact). source: in words. behind: whether it consists of fixes
-    of a receiver that may smooth them; the lag for which the filter corrects is then not counted as an error.
+    of a receiver that may smooth them; the lag for which the filter corrects is then not counted as an error. late:
+    whether its stamps are of the receiver's clock; the time offset that the filter estimates beside gnss.time_offset is
+    then not counted as an error.
     """
 
     reference: Reference
@@ -46,6 +48,7 @@ class Truth:
     variance: np.ndarray
     source: str
     behind: bool = False
+    late: bool = False
 
     def __len__(self) -> int:
         return len(self.reference)
@@ -105,6 +108,9 @@ def position_errors(run: Run, truth: Truth, turning: np.ndarray, longest_gap: fl
             + arm_e)
     if truth.behind:
         north, east = north - at(run.behind[:, 0]), east - at(run.behind[:, 1])
+    if truth.late and isinstance(run, Run):
+        since = _estimated_offset(run)
+        north, east = north - at(since * run.velocity[:, 0]), east - at(since * run.velocity[:, 1])
     heading = yaw if reference.yaw is None else reference.yaw
     cos, sin = np.cos(heading), np.sin(heading)
     p_nn, p_ee, p_ne = at(run.sigma[:, 0])**2, at(run.sigma[:, 1])**2, at(run.covariance_ne)
@@ -117,6 +123,12 @@ def position_errors(run: Run, truth: Truth, turning: np.ndarray, longest_gap: fl
         speed=missing if reference.velocity is None else
         np.hypot(at(run.velocity[:, 0]), at(run.velocity[:, 1])) - np.hypot(*reference.velocity.T[:2]),
         turning=turning)
+
+
+def _estimated_offset(run: Run) -> np.ndarray:
+    """(k,) s, time offset of the fixes that the filter estimates beside gnss.time_offset; 0 where it does not."""
+    names = [extra.name for extra in run.config.extras]
+    return run.extras[:, names.index('time_offset')] if 'time_offset' in names else np.zeros(len(run.stamp))
 
 
 class _Interpolation:
@@ -189,7 +201,8 @@ def truth_from_fixes(fixes: Fixes, lever_arm, time_offset: float, source: str) -
     variance = 0.5 * (fixes.covariance[:, 0, 0] + fixes.covariance[:, 1, 1])
     known = (fixes.covariance_type > 0) & np.isfinite(variance) & (variance > 0)
     return Truth(Reference(fixes.stamp - round(time_offset * 1e9), fixes.latitude, fixes.longitude, fixes.height),
-                 np.asarray(lever_arm, dtype=float), np.where(known, variance, 0.0), source, behind=True)
+                 np.asarray(lever_arm, dtype=float), np.where(known, variance, 0.0), source, behind=True,
+                 late=True)
 
 
 def rms(values) -> float:
