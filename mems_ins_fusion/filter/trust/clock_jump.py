@@ -44,41 +44,38 @@ LARGEST_ERROR = 0.2
 
 
 @njit(_nrt=False)
-def has_jumped(mem, r, at, n, own, dimensions, noise, variance, error):
-    """Whether the innovations up to the event at `at` show a jump. Then the variance of the offset in P of the scratch
-    is increased by the square of the jump, and that of `error`, the state of the input's constant error (-1: none), by
-    what would cause the same innovation.
-
-    own: position of the input's `Seen`. noise, variance: parts of the variance of the innovation, by the input and by
-    the state at r.
-    """
+def has_jumped(mem, r, at, n, own, slips, h_error, error):
+    """Whether the corrections of the time offset up to the event at `at` show a jump."""
     state = int(mem[at + Event.TIME_OFFSET])
     if state <= 0:
         return False
     p = int(mem[Head.SCRATCH_AT])
-    h = p + n * n
-    since, gain = max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0), variance / (variance + noise)
-    keep, left = math.exp(-since / JUMP_MEMORY), math.exp(-since / FOLLOWING_TIME)
-    largest = LARGEST_DEVIATION * math.sqrt(noise + variance)
+    value, variance = mem[r + NAV + state], mem[p + (n + 1) * state]
+    change, expected = value - mem[own + Seen.OFFSET], mem[own + Seen.OFFSET_VARIANCE]
+    mem[own + Seen.OFFSET], mem[own + Seen.OFFSET_VARIANCE] = value, variance
+    keep = math.exp(-max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0) / JUMP_MEMORY)
     score, information = keep * mem[own + Seen.JUMP_SCORE], keep * mem[own + Seen.JUMP_INFORMATION]
-    for k in range(dimensions):
-        followed = left * mem[own + Seen.FOLLOWED + k]
-        signature = mem[h + n * k + state] - followed
-        mem[own + Seen.FOLLOWED + k] = followed + gain * signature
-        innovation = mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)
-        innovation = max(-largest, min(innovation, largest))
-        score += signature * innovation / (noise + variance)
-        information += signature * signature / (noise + variance)
+    if variance < expected:
+        score += change / expected
+        information += (expected - variance) / expected**2
     mem[own + Seen.JUMP_SCORE], mem[own + Seen.JUMP_INFORMATION] = score, information
-    if abs(score) < max(OFFSET_SIGMAS * math.sqrt(information), SMALLEST_JUMP * information) or information == 0.0:
+    if slips or information == 0.0 or (
+            abs(score) < max(OFFSET_SIGMAS * math.sqrt(information), SMALLEST_JUMP * information)):
         return False
     jump = score / information
-    if abs(mem[r + NAV + state] + jump) > LARGEST_OFFSET:
+    if abs(value + jump) > LARGEST_OFFSET:
         return False
-    mem[p + (n + 1) * state] += jump**2
+    h = p + n * n
     if error >= 0 and mem[h + error] != 0.0:
         other = jump * mem[h + state] / mem[h + error]
         mem[p + (n + 1) * error] += min(abs(other), LARGEST_ERROR) ** 2
+    column = h + 3 * n
+    for i in range(n):
+        mem[column + i] = mem[p + n * i + state] * jump / variance
+    for i in range(n):
+        for j in range(n):
+            mem[p + n * i + j] += mem[column + i] * mem[column + j]
+    mem[own + Seen.OFFSET_VARIANCE] = mem[p + (n + 1) * state]
     mem[own + Seen.JUMP_SCORE] = mem[own + Seen.JUMP_INFORMATION] = 0.0
     reopen(mem, own, 1.0)  # innovations before it may have been caused by the jump, and not by noise
     return True

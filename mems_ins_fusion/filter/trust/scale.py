@@ -78,7 +78,8 @@ class _Seen(NamedTuple):
     # clock_jump.py
     JUMP_SCORE: int = 33  # 1/s, estimated jump of its time offset over the variance of the estimate,
     JUMP_INFORMATION: int = 34  # 1/s^2, the inverse of this variance,
-    FOLLOWED: int = 35  # part of the signature that the state has followed, two components
+    OFFSET: int = 35  # s, its time offset at its latest message,
+    OFFSET_VARIANCE: int = 36  # s^2, and the variance of that
     # displacement.py
     TRAVELLED: int = 37  # m, north and east, displacement of the filter since START
     BEGAN: int = 39  # m/s, velocity of the input at START, north and east,
