@@ -20,9 +20,8 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import NAV, Event, Head
-from ..update import product
-from .scale import LARGEST_DEVIATION, Scale, Seen, reopen
+from ..memory import NAV, Event, Head, is_of_velocity
+from .scale import Scale, Seen, reopen
 
 #: s, time constant with which earlier innovations are forgotten: the duration of a manoeuvre. Those before the jump
 #: make the estimated jump too small
@@ -44,7 +43,7 @@ LARGEST_ERROR = 0.2
 
 
 @njit(_nrt=False)
-def has_jumped(mem, r, at, n, own, slips, h_error, error):
+def has_jumped(mem, r, at, n, own, slips, error):
     """Whether the corrections of the time offset up to the event at `at` show a jump."""
     state = int(mem[at + Event.TIME_OFFSET])
     if state <= 0:
@@ -69,12 +68,16 @@ def has_jumped(mem, r, at, n, own, slips, h_error, error):
     if error >= 0 and mem[h + error] != 0.0:
         other = jump * mem[h + state] / mem[h + error]
         mem[p + (n + 1) * error] += min(abs(other), LARGEST_ERROR) ** 2
-    column = h + 3 * n
-    for i in range(n):
-        mem[column + i] = mem[p + n * i + state] * jump / variance
-    for i in range(n):
-        for j in range(n):
-            mem[p + n * i + j] += mem[column + i] * mem[column + j]
+    if is_of_velocity(mem[at + Event.KIND]):
+        factor = (jump / variance) ** 2
+        column = h + 3 * n
+        for i in range(n):
+            mem[column + i] = mem[p + n * i + state]
+        for i in range(n):
+            for j in range(n):
+                mem[p + n * i + j] += factor * mem[column + i] * mem[column + j]
+    else:
+        mem[p + (n + 1) * state] += jump**2
     mem[own + Seen.OFFSET_VARIANCE] = mem[p + (n + 1) * state]
     mem[own + Seen.JUMP_SCORE] = mem[own + Seen.JUMP_INFORMATION] = 0.0
     reopen(mem, own, 1.0)  # innovations before it may have been caused by the jump, and not by noise

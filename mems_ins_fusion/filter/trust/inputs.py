@@ -112,7 +112,7 @@ def factor_and_limits(mem, r, at, n, dimensions):
         noise = max(noise, squared - variance, change)
         nis, change_nis = squared / (variance + noise), change / max(expected, noise)
     slips = has_displacement(kind) and _slips(mem, own, kind, time, since, max(nis, change_nis))
-    if clock_jump.has_jumped(mem, r, at, n, own, slips, 0, _constant_error(mem, at)):
+    if clock_jump.has_jumped(mem, r, at, n, own, slips, _constant_error(mem, at)):
         squared, variance = _innovation(mem, r, at, n, dimensions)
         change, expected = _change(mem, r, at, n, own, noise, variance, since)
         nis, change_nis = squared / (variance + noise), change / expected
