@@ -108,6 +108,11 @@ def factor_and_limits(mem, r, at, n, dimensions):
         squared, variance = _innovation(mem, r, at, n, dimensions)
     change, expected = _change(mem, r, at, n, own, noise, variance, since)
     nis, change_nis = squared / (variance + noise), change / expected
+    if kind == Kind.HEADING and change_nis > ROBUST**2 and _is_step(mem, own, time, since):
+        _raise_error(mem, at, n, change)
+        squared, variance = _innovation(mem, r, at, n, dimensions)
+        change, expected = _change(mem, r, at, n, own, noise, variance, since)
+        nis, change_nis = squared / (variance + noise), change / expected
     if is_of_velocity(kind) and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own, squared):
         noise = max(noise, squared - variance, change)
         nis, change_nis = squared / (variance + noise), change / max(expected, noise)
@@ -186,9 +191,16 @@ def _change(mem, r, at, n, own, noise, variance, since):
     wheel that begins to slip is found though the state is less certain than the wheel. noise: variance of the input.
     """
     gain, kind = _gain(since), mem[at + Event.KIND]
-    is_judged = is_forward_speed(kind) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
+    is_judged = (is_forward_speed(kind) or kind == Kind.HEADING) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
     change = _first(mem, r, at, n) - mem[own + Seen.LEVEL] if is_judged else 0.0
     return change**2, noise * 2.0 / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
+
+
+@njit(_nrt=False)
+def _is_step(mem, own, time, since):
+    """Whether the message before has not fitted, but one of the three before this one has: two outliers in a row."""
+    elapsed = time - mem[own + Seen.FITTED]
+    return mem[own + Seen.FITTED] > 0.0 and FOLLOWS * since < elapsed < (2.0 + FOLLOWS) * since
 
 
 @njit(_nrt=False)
