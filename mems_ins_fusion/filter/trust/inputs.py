@@ -63,7 +63,8 @@ LARGEST_LOG_VARIANCE = 0.25
 #: sigmas of the change of a speed that fits again after a slip, above which its constant error may be another one: of a
 #: slip that is over it is less (95 %); one that does not end fits as the state becomes uncertain, just below ROBUST
 OTHER_SIGMAS = 2.0
-#: messages in which a heading has made a step or not: later ones may differ by what the gyroscopes are off
+#: messages of a heading by which a step is found or not, and the number of those before it that they are compared
+#: with: more may differ by what the gyroscopes are off. With 4, a step of 5 deg is 5 sigma of a noise of 0.02 rad
 LONGEST_STEP = 4
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
@@ -194,7 +195,8 @@ def _change(mem, r, at, n, own, noise, variance, since):
     The error of the state was in the innovations before, too, so only what its variance has changed by is expected: a
     wheel that begins to slip is found though the state is less certain than the wheel. noise: variance of the input.
     """
-    gain, kind = _gain(since), mem[at + Event.KIND]
+    kind = mem[at + Event.KIND]
+    gain = _gain(kind, since)
     is_judged = is_forward_speed(kind) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
     change = _first(mem, r, at, n) - mem[own + Seen.LEVEL] if is_judged else 0.0
     return change**2, noise * 2.0 / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
@@ -216,15 +218,15 @@ def _step(mem, r, at, n, own, noise, variance, since):
     mem[own + Seen.STEP] += _first(mem, r, at, n) - mem[own + Seen.LEVEL]
     if not 2 <= count <= LONGEST_STEP:
         return 0.0
-    step, gain = mem[own + Seen.STEP] / count, _gain(since)
+    step, gain = mem[own + Seen.STEP] / count, _gain(Kind.HEADING, since)
     expected = noise / count + noise * gain / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
     return step if step**2 > NARROW_GATE**2 * expected else 0.0
 
 
 @njit(_nrt=False)
-def _gain(since):
+def _gain(kind, since):
     """Gain of the low pass of the innovations that fitted. since: s since the message before."""
-    return max(0.0, min(since / SHORTEST_SLIP, 1.0))
+    return 1.0 / LONGEST_STEP if kind == Kind.HEADING else max(0.0, min(since / SHORTEST_SLIP, 1.0))
 
 
 @njit(_nrt=False)
@@ -237,7 +239,7 @@ def _first(mem, r, at, n):
 def _note_fitted(mem, r, at, n, own, variance, since):
     """Note that the input fits: time, level of its innovation and variance of the state."""
     kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
-    gain = _gain(since) if _has_fitted(mem, own, kind, time) else 1.0
+    gain = _gain(kind, since) if _has_fitted(mem, own, kind, time) else 1.0
     mem[own + Seen.FITTED] = time
     mem[own + Seen.LEVEL] += gain * (_first(mem, r, at, n) - mem[own + Seen.LEVEL])
     mem[own + Seen.LEVEL_VARIANCE] += gain * (variance - mem[own + Seen.LEVEL_VARIANCE])
