@@ -215,10 +215,13 @@ def _step(mem, r, at, n, own, noise, variance, since):
     count = int((time - fitted) / since + 0.5)
     if count <= 1:
         mem[own + Seen.STEP] = 0.0
-    mem[own + Seen.STEP] += _first(mem, r, at, n) - mem[own + Seen.LEVEL]
+    change, before = _first(mem, r, at, n) - mem[own + Seen.LEVEL], mem[own + Seen.STEP]
+    mem[own + Seen.STEP] += change
     if not 2 <= count <= LONGEST_STEP:
         return 0.0
     step, gain = mem[own + Seen.STEP] / count, _gain(Kind.HEADING, since)
+    if (change - before / (count - 1)) ** 2 > ROBUST**2 * noise * count / (count - 1):
+        return 0.0  # it scatters
     expected = noise / count + noise * gain / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
     return step if step**2 > NARROW_GATE**2 * expected else 0.0
 
