@@ -134,6 +134,22 @@ def test_one_that_was_wrong_is_right_again_after_a_second_in_which_an_error_show
     assert found == again
 
 
+@pytest.mark.parametrize(('kind', 'off', 'scatters'), [
+    (Kind.SPEED, [(2.0, 0.0), (-2.0, 0.0)], True), (Kind.TWIST, [(2.0, 0.0), (-2.0, 0.0)], True),
+    (Kind.VELOCITY, [(2.0, 0.5), (-2.0, 0.5)], True), (Kind.VELOCITY, [(2.0, 0.0), (2.0, 0.0)], False),
+    (Kind.VELOCITY, [(0.1, 3.0), (-0.1, 3.0)], False)])
+def test_what_is_far_off_on_both_sides_in_turn_scatters(kind, off, scatters):
+    # given two innovations, north and east, m/s, a second apart; the filter's state and the rows of H are zero
+    mem, r, at, own = np.zeros(3000), 1000, 2800, 1500
+    mem[Head.SCRATCH_AT], mem[at + Event.KIND] = 2000, kind
+    for time, innovation in zip((100.0, 101.0), off):
+        mem[at + Event.TIME], mem[at + Event.Z_N:at + Event.Z_N + 2] = time, innovation
+        squared = np.square(innovation).mean() if kind == Kind.VELOCITY else innovation[0]**2
+        found = inputs._alternates(mem, r, at, 10, own, squared)
+    # then it is noise where the second is on the other side; north by chance so, while it is off to the east, is none
+    assert found == scatters
+
+
 @pytest.mark.parametrize('name', ['speed', 'velocity', 'twist'])
 def test_one_that_scatters_is_no_slip(name):
     # given an input that scatters by 2 m/s from 60 s on, many times what it claims

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from test_filter_displacement import drive
 
+from mems_ins_fusion.evaluation.comparison import truth_of
+from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import NAV, newest_row
 from mems_ins_fusion.filter.runs.live import FusionFilter
@@ -15,6 +17,8 @@ from mems_ins_fusion.filter.runs.vehicle_check import found_time_offsets
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Aiding
+from mems_ins_fusion.simulation.scene import REALISTIC
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
 INPUTS = 'speed', 'velocity', 'twist', 'heading'
 
@@ -88,6 +92,39 @@ def test_an_offset_that_was_found_and_then_declared_does_not_count_twice(recordi
     assert 'no sensor errors' in restored(**{'speed.scale': 0.02})
     state = result.config.layout.index('speed_time_offset')
     assert newest_row(result.memory)[NAV + state] == pytest.approx(found)
+
+
+def test_a_clock_that_has_jumped_is_found_when_the_vehicle_slows_down_gently():
+    # given wheels whose clock jumps by half a second where the speed is constant; then the vehicle takes eight seconds
+    # to brake with 1.4 m/s^2, so that velocity, tilt and position follow what is wrong and nothing looks like a step
+    sensors = SensorErrors.from_parameters(table.check(REALISTIC.imu), 'gauss_markov')
+    recording = simulate_recording(REALISTIC.drive(240.0, 58102), sensors, GnssNoise(1.5, 10.0), seed=58102, **{
+        **REALISTIC.distortions(58102), 'aiding': SimulatedAiding(speed_rate=100.0)}).recording
+    speed, jump = recording.speed, recording.imu.stamp[0] + 200 * 10**9
+    late = replace(speed, stamp=speed.stamp + np.where(speed.stamp > jump, 5 * 10**8, 0))
+    values = table.check({'speed_topic': '/speed', 'reference_lever_arm': [0.0, 0.0, 0.0]})
+    result = run(FilterConfig.from_parameters(values), recording.imu, recording.gnss, Aiding(speed=late))
+    # then the fixes show it before the vehicle stands, and neither position nor ellipse is wrong
+    truth, state = truth_of(recording, values), result.config.layout.extras.index('speed_time_offset')
+    errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
+    later = errors.stamp > jump
+    assert result.extras[-1, state] == pytest.approx(0.5, abs=0.1)
+    assert errors.horizontal[later].max() < 2.0 and np.mean(errors.nees[later] < NEES_95) > 0.95
+
+
+@pytest.mark.parametrize('to', [5.0, -8.0])
+def test_a_heading_that_makes_a_step_has_another_offset_at_once(recording, to):
+    # given antennas that are turned by some degrees, four sigma of their noise, from 120 s on
+    heading, jump = recording.heading, recording.imu.stamp[0] + 120 * 10**9
+    turned = replace(heading, yaw=heading.yaw + np.radians(to) * (heading.stamp > jump))
+    config = FilterConfig.from_parameters(table.check({'heading_topic': '/heading'}))
+    result, right = (run(config, recording.imu, recording.gnss, Aiding(heading=one)) for one in (turned, heading))
+    # then two seconds later the offset has changed by it, within its sigma, and the heading of the vehicle has not
+    state = config.layout.index('heading_offset')
+    before, after = np.searchsorted(result.stamp, jump + np.array([0, 2]) * 10**9)
+    offset, sigma = result.extras[:, state - config.layout.n], result.sigma[after, state]
+    assert offset[after] - offset[before] == pytest.approx(np.radians(to), abs=3.0 * sigma) and sigma < 0.02
+    assert np.abs(result.yaw - right.yaw)[before:after].max() < np.radians(1.0)
 
 
 @pytest.mark.parametrize('name', ['speed', 'velocity'])

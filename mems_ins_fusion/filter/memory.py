@@ -170,7 +170,7 @@ def nonnegative(position):
     return position & 0x7FFFFFFFFFFFFFFF
 
 
-INPUT_SIZE = 51  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
+INPUT_SIZE = 56  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
 
 
 def row_width(layout: StateLayout) -> int:

@@ -1,14 +1,23 @@
 """Detection of a jump of the time offset of an input: its driver has restarted, or a queue has filled.
 
 The time offset is a state (`measurements/time_offset.py`), which is soon known to hundredths of a second. After a jump
-the filter would therefore correct the velocity instead of the offset. Innovations after a jump are the jump times a
-*signature*: the time derivative of the measured quantity, minus the part of it that the state has already followed. The
-jump is estimated by least squares from the latest innovations. If it is significant, the variance of the offset is
-increased by its square.
+the filter would therefore correct velocity, tilt and position instead of the offset. Innovations after a jump are the
+jump J times a *signature*, from which J is estimated by least squares. If it is significant, the filter is made as
+uncertain as J explains. The signature of a jump at each possible time would take a filter each (A. S. Willsky and H. L.
+Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear systems", IEEE Trans.
+Automatic Control 21, 1976). Two of them are known without one:
 
-Source: A. S. Willsky and H. L. Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps
-in linear systems", IEEE Trans. Automatic Control 21, 1976. There the signature is that of the whole filter. Here it is
-that of a filter with one state for each component, with which half of a slow jump is detected.
+* *Soon after the jump*, in the innovations of the input: the time derivative of the measured quantity, minus the part
+  of it that the state has already followed, as if it had one state for each component. The variance of the offset is
+  increased by J^2.
+* *Long after it*, in the innovations of all inputs, fixes among them: that of an error which has always been there, by
+  the column of the offset in P. What the Kalman filter gives to the offset, its *corrections* d, is all that is needed.
+  Without a jump they are white, and their variance is what they take from the variance P of the offset. So
+
+      J = sum(d / P) / sum((P before - P after) / P^2)
+
+  with the inverse of the denominator as its variance. Of a velocity all that an error of the offset has moved becomes
+  uncertain, by the regression P(:, offset) / P.
 
 While a vehicle speeds up from rest, a speed that is a tenth too large has nearly the same signature, and a heading that
 is off while it turns: the constant error of the input may have jumped instead. Both are made uncertain by what would
@@ -20,7 +29,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import NAV, Event, Head
+from ..memory import NAV, Event, Head, is_of_velocity
 from ..update import product
 from .scale import LARGEST_DEVIATION, Scale, Seen, reopen
 
@@ -44,41 +53,81 @@ LARGEST_ERROR = 0.2
 
 
 @njit(_nrt=False)
-def has_jumped(mem, r, at, n, own, dimensions, noise, variance, error):
-    """Whether the innovations up to the event at `at` show a jump. Then the variance of the offset in P of the scratch
-    is increased by the square of the jump, and that of `error`, the state of the input's constant error (-1: none), by
-    what would cause the same innovation.
+def has_jumped(mem, r, at, n, own, dimensions, noise, variance, slips, error):
+    """Whether the innovations up to the event at `at` show a jump. Then P in the scratch is increased by what it
+    explains, and the variance of `error`, the state of the input's constant error (-1: none), by what would cause the
+    same innovation.
 
     own: position of the input's `Seen`. noise, variance: parts of the variance of the innovation, by the input and by
-    the state at r.
+    the state at r. slips: whether it is refused as slip, which says nothing of the time: clipped, 3 m/s of slip in an
+    acceleration look like half a second.
     """
     state = int(mem[at + Event.TIME_OFFSET])
-    if state <= 0:
+    if state <= 0 or slips:
+        return False
+    keep = math.exp(-max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0) / JUMP_MEMORY)
+    for k in range(4):
+        mem[own + Seen.JUMP + k] *= keep
+    _add_innovation(mem, r, at, n, own, dimensions, noise, variance, state)
+    _add_correction(mem, r, n, own, state)
+    jump, since_long = _significant(mem, r, own + Seen.JUMP, state), False
+    if jump == 0.0 and is_of_velocity(mem[at + Event.KIND]):  # others are found before the state has followed them
+        jump, since_long = _significant(mem, r, own + Seen.JUMP + 2, state), True
+    if jump == 0.0:
         return False
     p = int(mem[Head.SCRATCH_AT])
     h = p + n * n
-    since, gain = max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0), variance / (variance + noise)
-    keep, left = math.exp(-since / JUMP_MEMORY), math.exp(-since / FOLLOWING_TIME)
+    if error >= 0 and mem[h + error] != 0.0:
+        other = jump * mem[h + state] / mem[h + error]
+        mem[p + (n + 1) * error] += min(abs(other), LARGEST_ERROR) ** 2
+    if since_long:
+        column, factor = h + 3 * n, (jump / mem[p + (n + 1) * state]) ** 2
+        for i in range(n):
+            mem[column + i] = mem[p + n * i + state]
+        for i in range(n):
+            for j in range(n):
+                mem[p + n * i + j] += factor * mem[column + i] * mem[column + j]
+    else:
+        mem[p + (n + 1) * state] += jump**2
+    for k in range(4):
+        mem[own + Seen.JUMP + k] = 0.0
+    reopen(mem, own, 1.0)  # innovations before it may have been caused by the jump, and not by noise
+    return True
+
+
+@njit(_nrt=False)
+def _add_innovation(mem, r, at, n, own, dimensions, noise, variance, state):
+    """Add the innovation of the event at `at` to what tells a recent jump."""
+    h = int(mem[Head.SCRATCH_AT]) + n * n
+    gain = variance / (variance + noise)
+    left = math.exp(-max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0) / FOLLOWING_TIME)
     largest = LARGEST_DEVIATION * math.sqrt(noise + variance)
-    score, information = keep * mem[own + Seen.JUMP_SCORE], keep * mem[own + Seen.JUMP_INFORMATION]
     for k in range(dimensions):
         followed = left * mem[own + Seen.FOLLOWED + k]
         signature = mem[h + n * k + state] - followed
         mem[own + Seen.FOLLOWED + k] = followed + gain * signature
         innovation = mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)
         innovation = max(-largest, min(innovation, largest))
-        score += signature * innovation / (noise + variance)
-        information += signature * signature / (noise + variance)
-    mem[own + Seen.JUMP_SCORE], mem[own + Seen.JUMP_INFORMATION] = score, information
-    if abs(score) < max(OFFSET_SIGMAS * math.sqrt(information), SMALLEST_JUMP * information) or information == 0.0:
-        return False
+        mem[own + Seen.JUMP] += signature * innovation / (noise + variance)
+        mem[own + Seen.JUMP + 1] += signature * signature / (noise + variance)
+
+
+@njit(_nrt=False)
+def _add_correction(mem, r, n, own, state):
+    """Add the correction of the offset since the previous message of the input to what tells a jump before that."""
+    offset, variance = mem[r + NAV + state], mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * state]
+    before = mem[own + Seen.OFFSET_VARIANCE]
+    if variance < before:  # else it is the first one, or was made uncertain
+        mem[own + Seen.JUMP + 2] += (offset - mem[own + Seen.OFFSET]) / before
+        mem[own + Seen.JUMP + 3] += (before - variance) / before**2
+    mem[own + Seen.OFFSET], mem[own + Seen.OFFSET_VARIANCE] = offset, variance
+
+
+@njit(_nrt=False)
+def _significant(mem, r, seen, state):
+    """Jump by score and information at `seen`; 0: none that is significant, or one that is another fault."""
+    score, information = mem[seen], mem[seen + 1]
+    if information == 0.0 or abs(score) < max(OFFSET_SIGMAS * math.sqrt(information), SMALLEST_JUMP * information):
+        return 0.0
     jump = score / information
-    if abs(mem[r + NAV + state] + jump) > LARGEST_OFFSET:
-        return False
-    mem[p + (n + 1) * state] += jump**2
-    if error >= 0 and mem[h + error] != 0.0:
-        other = jump * mem[h + state] / mem[h + error]
-        mem[p + (n + 1) * error] += min(abs(other), LARGEST_ERROR) ** 2
-    mem[own + Seen.JUMP_SCORE] = mem[own + Seen.JUMP_INFORMATION] = 0.0
-    reopen(mem, own, 1.0)  # innovations before it may have been caused by the jump, and not by noise
-    return True
+    return jump if abs(mem[r + NAV + state] + jump) <= LARGEST_OFFSET else 0.0

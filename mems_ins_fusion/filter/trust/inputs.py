@@ -63,6 +63,9 @@ LARGEST_LOG_VARIANCE = 0.25
 #: sigmas of the change of a speed that fits again after a slip, above which its constant error may be another one: of a
 #: slip that is over it is less (95 %); one that does not end fits as the state becomes uncertain, just below ROBUST
 OTHER_SIGMAS = 2.0
+#: messages of a heading by which a step is found or not, and the number of those before it that they are compared
+#: with: more may differ by what the gyroscopes are off. With 4, a step of 5 deg is 5 sigma of a noise of 0.02 rad
+LONGEST_STEP = 4
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
 LONGEST_JUMP = 60.0
@@ -108,12 +111,18 @@ def factor_and_limits(mem, r, at, n, dimensions):
         squared, variance = _innovation(mem, r, at, n, dimensions)
     change, expected = _change(mem, r, at, n, own, noise, variance, since)
     nis, change_nis = squared / (variance + noise), change / expected
+    if kind == Kind.HEADING:
+        step = _step(mem, r, at, n, own, noise, variance, since)
+        if step != 0.0:
+            _raise_error(mem, at, n, step**2)
+            squared, variance = _innovation(mem, r, at, n, dimensions)
+            nis = squared / (variance + noise)
     if is_of_velocity(kind) and _is_far_off(kind, max(nis, change_nis)) and _alternates(mem, r, at, n, own, squared):
         noise = max(noise, squared - variance, change)
         nis, change_nis = squared / (variance + noise), change / max(expected, noise)
     slips = has_displacement(kind) and _slips(mem, own, kind, time, since, max(nis, change_nis))
-    if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance,
-                                           _constant_error(mem, at)):
+    if clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance, slips,
+                             _constant_error(mem, at)):
         squared, variance = _innovation(mem, r, at, n, dimensions)
         change, expected = _change(mem, r, at, n, own, noise, variance, since)
         nis, change_nis = squared / (variance + noise), change / expected
@@ -186,16 +195,41 @@ def _change(mem, r, at, n, own, noise, variance, since):
     The error of the state was in the innovations before, too, so only what its variance has changed by is expected: a
     wheel that begins to slip is found though the state is less certain than the wheel. noise: variance of the input.
     """
-    gain, kind = _gain(since), mem[at + Event.KIND]
+    kind = mem[at + Event.KIND]
+    gain = _gain(kind, since)
     is_judged = is_forward_speed(kind) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
     change = _first(mem, r, at, n) - mem[own + Seen.LEVEL] if is_judged else 0.0
     return change**2, noise * 2.0 / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
 
 
 @njit(_nrt=False)
-def _gain(since):
+def _step(mem, r, at, n, own, noise, variance, since):
+    """Mean step of a heading, rad, in the last few messages, none of which has fitted; 0: not significant.
+
+    The yaw of the vehicle makes no step, so that of a heading is another offset: antennas that have turned, a receiver
+    that has resolved its phases anew, a compass that was calibrated. noise: variance of the input.
+    """
+    fitted, time = mem[own + Seen.FITTED], mem[at + Event.TIME]
+    if fitted <= 0.0 or since <= 0.0 or PRIOR - mem[own + Scale.REDUCED] > LARGEST_LOG_VARIANCE:
+        return 0.0
+    count = int((time - fitted) / since + 0.5)
+    if count <= 1:
+        mem[own + Seen.STEP] = 0.0
+    change, before = _first(mem, r, at, n) - mem[own + Seen.LEVEL], mem[own + Seen.STEP]
+    mem[own + Seen.STEP] += change
+    if not 2 <= count <= LONGEST_STEP:
+        return 0.0
+    step, gain = mem[own + Seen.STEP] / count, _gain(Kind.HEADING, since)
+    if (change - before / (count - 1)) ** 2 > ROBUST**2 * noise * count / (count - 1):
+        return 0.0  # it scatters
+    expected = noise / count + noise * gain / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
+    return step if step**2 > NARROW_GATE**2 * expected else 0.0
+
+
+@njit(_nrt=False)
+def _gain(kind, since):
     """Gain of the low pass of the innovations that fitted. since: s since the message before."""
-    return max(0.0, min(since / SHORTEST_SLIP, 1.0))
+    return 1.0 / LONGEST_STEP if kind == Kind.HEADING else max(0.0, min(since / SHORTEST_SLIP, 1.0))
 
 
 @njit(_nrt=False)
@@ -208,7 +242,7 @@ def _first(mem, r, at, n):
 def _note_fitted(mem, r, at, n, own, variance, since):
     """Note that the input fits: time, level of its innovation and variance of the state."""
     kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
-    gain = _gain(since) if _has_fitted(mem, own, kind, time) else 1.0
+    gain = _gain(kind, since) if _has_fitted(mem, own, kind, time) else 1.0
     mem[own + Seen.FITTED] = time
     mem[own + Seen.LEVEL] += gain * (_first(mem, r, at, n) - mem[own + Seen.LEVEL])
     mem[own + Seen.LEVEL_VARIANCE] += gain * (variance - mem[own + Seen.LEVEL_VARIANCE])

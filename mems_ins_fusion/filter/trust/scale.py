@@ -76,23 +76,25 @@ class _Seen(NamedTuple):
     SINCE: int = 31  # s, time since which its value is the same
     DIFFERENT: int = 32  # number of messages in a row that differ from the previous one
     # clock_jump.py
-    JUMP_SCORE: int = 33  # 1/s, estimated jump of its time offset over the variance of the estimate,
-    JUMP_INFORMATION: int = 34  # 1/s^2, the inverse of this variance,
-    FOLLOWED: int = 35  # part of the signature that the state has followed, two components
+    JUMP: int = 33  # 1/s and 1/s^2: jump of its time offset over its variance, and 1 / variance; recent, and any
+    OFFSET: int = 37  # s, its time offset at its latest message,
+    OFFSET_VARIANCE: int = 38  # s^2, and the variance of that
+    FOLLOWED: int = 39  # part of the signature that the state has followed, two components
     # displacement.py
-    TRAVELLED: int = 37  # m, north and east, displacement of the filter since START
-    BEGAN: int = 39  # m/s, velocity of the input at START, north and east,
-    LATE: int = 41  # m^2, variance of the displacement by the error of its time offset
+    TRAVELLED: int = 41  # m, north and east, displacement of the filter since START
+    BEGAN: int = 43  # m/s, velocity of the input at START, north and east,
+    LATE: int = 45  # m^2, variance of the displacement by the error of its time offset
     # measurements/low_pass.py
-    UNFOLLOWED: int = 42  # m/s or rad, lag of its low pass, and the time of that, s
-    UNFOLLOWED_TURN: int = 44  # rad/s, the same of its turn rate, and the time of that, s
-    TURN: int = 46  # rad/s, turn rate of the gyroscopes at its latest message
+    UNFOLLOWED: int = 46  # m/s or rad, lag of its low pass, and the time of that, s
+    UNFOLLOWED_TURN: int = 48  # rad/s, the same of its turn rate, and the time of that, s
+    TURN: int = 50  # rad/s, turn rate of the gyroscopes at its latest message
     # inputs.py
-    ABOVE: int = 47  # s, time of its latest value far above the expected one,
-    BELOW: int = 48  # s, and of the latest one far below it
-    LEVEL: int = 49  # m/s or rad, low-passed innovation of the values that fitted,
-    LEVEL_VARIANCE: int = 50  # and the low-passed part of their variance that is the state's
-    SIZE: int = 51
+    ABOVE: int = 51  # s, time of its latest value far above the expected one,
+    BELOW: int = 52  # s, and of the latest one far below it
+    LEVEL: int = 53  # m/s or rad, low-passed innovation of the values that fitted,
+    LEVEL_VARIANCE: int = 54  # and the low-passed part of their variance that is the state's
+    STEP: int = 55  # rad, sum of the changes of a heading's innovation since it fitted
+    SIZE: int = 56
 
 
 Seen = _Seen()
