@@ -147,7 +147,8 @@ class Online:
     def wanted(self) -> FilterFindings:
         """The findings for the filters."""
         tried = {name: trial.sets for name, trial in self.trials.items() if self._applies and not trial.rejected}
-        return FilterFindings({name: trial.sets for name, trial in self.applied.items()}, tried)
+        doubted = frozenset(name for name, trial in self.applied.items() if not trial.seen)
+        return FilterFindings({name: trial.sets for name, trial in self.applied.items()}, tried, doubted)
 
     @property
     def sets(self) -> dict:

@@ -183,6 +183,7 @@ class ChangingFilter(WatchedFilter):
         self._without: dict[str, dict] = {}  # parameters without each finding that is applied, or about to be
         self._beside: dict[str, ParallelFilter] = {}  # filters without each finding
         self._ready: list[ParallelFilter] = []  # filters with parameters on trial
+        self._doubted: frozenset[str] = frozenset()
         self._dropped: list[Dropped] = []
         self._blending: Blending | None = None
         self.handovers: list[Handover] = []
@@ -225,6 +226,11 @@ class ChangingFilter(WatchedFilter):
         """Run in parallel, for each finding in the present parameters, a filter without it, as after `change`."""
         self._without = without
         self._beside = {name: self._beside_with(values, SETTLING) for name, values in without.items()}
+
+    def doubt(self, names: frozenset[str]) -> None:
+        """Take these findings for doubtful: an estimate without a filter shows another value, so that less evidence of
+        the fixes (SHOWN_BETTER) is enough to drop one."""
+        self._doubted = names
 
     def dropped(self) -> list[Dropped]:
         """Findings that the filter has dropped since the last call."""
@@ -323,7 +329,8 @@ class ChangingFilter(WatchedFilter):
         """
         for one in self._running:
             one.compare(self.misfits, now)
-        wrong = next((name for name, one in self._beside.items() if one.is_better(DROPPED)), None)
+        wrong = next((name for name, one in self._beside.items() if one.is_better(
+            SHOWN_BETTER if name in self._doubted else DROPPED)), None)
         if wrong is not None:
             self._drop(wrong, now)
         elif self._next is not None:
@@ -331,7 +338,7 @@ class ChangingFilter(WatchedFilter):
 
     def _follow_up(self, now: int) -> None:
         other, waited = self._next.fusion, now - self._next.begun
-        if not self.has_estimate:
+        if not self.has_estimate or (other.aligned and not self.aligned):
             self._take_over(other, now, 0.0, 0.0)
         elif other.aligned and waited >= SETTLING * 1e9:
             position, yaw = self._from(other)
