@@ -51,8 +51,9 @@ COMPARISON_PERIOD = 10**9  # ns from one comparison to the next
 #: wealth (betting.py) of the filter without a finding at which the finding is dropped. A useful finding is dropped at
 #: most once in this many comparisons, which are a day
 DROPPED = 86_400.0
-#: wealth of a new filter at which it takes over although it is less certain. Smaller than DROPPED, as its parameters
-#: have been proven before
+#: wealth at which a new filter takes over although it is less certain, and the filter without a finding that is doubted
+#: (`ChangingFilter.doubt`). Smaller than DROPPED, as there is evidence besides the innovations: the new parameters have
+#: been proven, and a look shows another value than the doubted one
 SHOWN_BETTER = 20.0
 #: number of fixes whose innovations are kept: two filters process the same fix within seconds of each other
 KEPT_FIXES = 100
