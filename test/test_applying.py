@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from test_online import OFFSET, SECOND, blind, finding
 
 from mems_ins_fusion.diagnosis import online
-from mems_ins_fusion.diagnosis.applying import WAIT, AnswerSchedule, live_output, with_applied
+from mems_ins_fusion.diagnosis.applying import WAIT, AnswerSchedule, apply_findings, live_output, with_applied
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.false_alarms import FALSE_ALARMS
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
@@ -96,7 +96,7 @@ def test_an_answer_that_does_not_know_what_was_dropped_does_not_bring_it_back():
     # then that answer says nothing new, and the one to the chunk in which it was dropped counts as it is
     assert due.at_end_of_chunk() is None
     due.handed()
-    again = FilterFindings({'a': {'x': 3}, 'b': {'y': 2}}, {'c': {'z': 1}})
+    again = FilterFindings({'a': {'x': 3}, 'b': {'y': 2}}, {'c': {'z': 1}}, frozenset({'b'}))
     due.answered(again)
     assert due.at_end_of_chunk() == again
 
@@ -398,19 +398,23 @@ def test_what_an_earlier_drive_has_proven_is_suspect_until_it_is_proven_again(la
 
 def test_two_turns_take_back_what_the_last_minutes_show_to_be_another(late):
     # given an offset that drives, and outages that speak against it by as much as two turns do of an antenna
-    def after_a_look(look):
+    def after_a_look(look, harm=2.0 * DOUBTED):
         work = Online(APPLY, blind, look, [EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET})])
         trial = work.applied[NAME]
         for bets in trial.bets.values():
-            bets.con = math.log(2.0 * DOUBTED)
+            bets.con = math.log(harm)
         chunk = next(iter(chunks(late)))
         work.take(chunk.having({**chunk.streams(), 'gnss': chunk.gnss.select(slice(0, 0))}))
-        assert DOUBTED < trial.harm < TAKEN_BACK
+        assert harm == 1.0 or DOUBTED < trial.harm < TAKEN_BACK
         return work
     # then it goes where a look at the samples shows another value, and not else
     assert after_a_look(blind).sets == {'gnss.time_offset': OFFSET}
     other = after_a_look(lambda recording, values: [finding(-OFFSET)])
     assert other.sets == {}
+    # the filter beside is told which finding is doubted, until it is gone
+    assert after_a_look(blind).wanted.doubted == frozenset()
+    doubted = after_a_look(lambda recording, values: [finding(-OFFSET)], harm=1.0)
+    assert doubted.sets == {'gnss.time_offset': OFFSET} and doubted.wanted.doubted == {NAME}
     # and is told as what has been taken back: the other value is what was left beside it
     assert other.trials[NAME].harmful and other.trials[NAME].finding.parameters['time_offset'].value == OFFSET
 
@@ -619,18 +623,17 @@ def test_what_is_proven_with_something_else_has_to_be_proven_beside_it():
     assert [trial.state for trial in work.applied.values()] == [FINE, FINE] and work.begun == 2
 
 
-@pytest.mark.parametrize('harm, looks', [(1.0, [0, 1, 1, 2, 2]), (DOUBTED, [1, 2, 3, 4, 5])])
-def test_what_is_doubted_is_looked_at_with_each_chunk(late, monkeypatch, harm, looks):
-    # given what is applied, later than there is a look with each chunk, and outages that speak against it
+@pytest.mark.parametrize('applied, looks', [(False, [0, 1, 1, 2, 2]), (True, [1, 2, 3, 4, 5])])
+def test_what_is_applied_is_looked_at_with_each_chunk(late, monkeypatch, applied, looks):
+    # given what is applied, or nothing, later than there is a look with each chunk
     monkeypatch.setattr(online, 'LATEST', 0.5 * CHUNK)
     count, seen = [], []
     work = Online(APPLY, blind, lambda part, values: count.append(1) or [],
-                  [EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, 0)])
-    monkeypatch.setattr(Trial, 'harm', property(lambda trial: harm))
+                  [EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, 0)] if applied else ())
     for chunk in list(chunks(replace(late, gnss=late.gnss.select(slice(0, 0)))))[1:6]:
         work.take(chunk)
         seen.append(len(count))
-    # then the look that decides whether it is taken back does not wait for its turn
+    # then a look that shows another value does not wait for its turn
     assert seen == looks
 
 
@@ -701,6 +704,35 @@ def test_filters_that_have_just_begun_drop_nothing():
     fusion = changing.ChangingFilter(FilterConfig.from_parameters({**APPLY, 'gnss.time_offset': OFFSET}))
     fusion.watch({NAME: APPLY})
     assert fusion._beside[NAME]._settling == changing.SETTLING and fusion._beside_with(APPLY)._settling == 0.0
+
+
+def test_a_present_filter_without_a_heading_is_not_waited_for(late):
+    # given an IMU declared the wrong way round, with which the filter does not start, and the right mounting from 100 s
+    # on, with the vehicle under way
+    backwards = {**APPLY, 'imu.mounting_rpy': [0.0, 0.0, math.pi]}
+    fusion, begin = changing.ChangingFilter(FilterConfig.from_parameters(backwards)), 100 * 20
+    fed(fusion, late, 0, begin)
+    assert fusion.has_estimate and not fusion.aligned
+    fusion.change(APPLY)
+    fed(fusion, late, begin, begin + round(0.5 * changing.SETTLING) * 20)
+    # then the filter with it takes over as soon as it has a heading, and not after SETTLING
+    assert fusion.aligned and not fusion.changing
+
+
+def test_what_an_estimate_without_a_filter_doubts_is_dropped_by_less(late):
+    # given a finding that drives, and fixes that speak against it as much as one turn does against a wrong antenna
+    def dropped(doubted):
+        fusion = changing.ChangingFilter(FilterConfig.from_parameters({**APPLY, 'gnss.time_offset': OFFSET}))
+        fusion.watch({NAME: APPLY})
+        fed(fusion, late, 0, 100 * 20)
+        one = fusion._beside[NAME]
+        one._compared, one._bets.pro = fusion._fixes, math.log(2.0 * changing.SHOWN_BETTER)
+        apply_findings(fusion, APPLY, FilterFindings({NAME: {'gnss.time_offset': OFFSET}}, {}, frozenset(doubted)),
+                       changes=False)
+        fusion._compare(fusion._now)
+        return [one.name for one in fusion.dropped()]
+    # then it is dropped at once where the last minutes show another value, and not else
+    assert dropped({NAME}) == [NAME] and dropped({'gnss_lever_arm'}) == []
 
 
 def test_a_filter_that_is_less_sure_does_not_take_over():

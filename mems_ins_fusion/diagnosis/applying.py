@@ -36,6 +36,7 @@ def apply_findings(fusion: ChangingFilter, given: dict, findings: FilterFindings
     """Have `fusion` go on with `findings` beside the parameters `given`. changes: whether others are applied now."""
     if changes:
         fusion.change(*with_applied(given, findings.applied))
+    fusion.doubt(findings.doubted)
     fusion.prepare([with_applied(given, {**findings.applied, name: sets})[0]
                     for name, sets in findings.tried.items()])
 
@@ -98,7 +99,8 @@ class AnswerSchedule:
 
 
 def _without(names: set[str], findings: FilterFindings) -> FilterFindings:
-    return FilterFindings(*({name: sets for name, sets in part.items() if name not in names} for part in findings))
+    applied, tried = ({name: sets for name, sets in part.items() if name not in names} for part in findings[:2])
+    return FilterFindings(applied, tried, findings.doubted - names)
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ from .quantity import (
     FindingState,
     merged_settings,
 )
-from .trial import DOUBTED, Trial
+from .trial import Trial
 from .trial_outages import SETTLING, Predictions, has_estimate_alone, paired_errors
 from .window import from_stamp, joined_recordings, jumps, last_seconds, seconds
 
@@ -56,7 +56,8 @@ MORE = 0.5
 #: s, length of the latest samples that are analysed separately, and interval of these analyses: a change of the vehicle
 #: is found in them first
 LATEST = 240.0
-#: s of samples between two looks if more than LATEST are kept; otherwise there is one after each chunk
+#: s of samples between two looks if more than LATEST are kept and nothing is applied; otherwise there is one after each
+#: chunk: what is applied and has become wrong is to go soon
 LOOKED = 60.0
 #: s, durations of outages by which analyses compare
 ANALYSED = (10.0, 30.0)
@@ -147,7 +148,8 @@ class Online:
     def wanted(self) -> FilterFindings:
         """The findings for the filters."""
         tried = {name: trial.sets for name, trial in self.trials.items() if self._applies and not trial.rejected}
-        return FilterFindings({name: trial.sets for name, trial in self.applied.items()}, tried)
+        doubted = frozenset(name for name, trial in self.applied.items() if not trial.seen)
+        return FilterFindings({name: trial.sets for name, trial in self.applied.items()}, tried, doubted)
 
     @property
     def sets(self) -> dict:
@@ -181,7 +183,7 @@ class Online:
         elif before is not None:
             self._try(chunk, before)
         self._unseen += seconds(chunk)
-        shown = self._looked() if self._unseen >= NEARLY * self._between or self._is_doubted else []
+        shown = self._looked() if self._unseen >= NEARLY * self._between else []
         for finding in shown:
             self._put_on_trial(finding, latest=True, again=False)
         self._begin_analysis()
@@ -198,12 +200,7 @@ class Online:
     @property
     def _between(self) -> float:
         """s of samples from one look to the next."""
-        return CHUNK if seconds(self._window) <= LATEST else LOOKED
-
-    @property
-    def _is_doubted(self) -> bool:
-        """Whether an applied finding would be removed if the last minutes show another value: then a look decides."""
-        return self._applies and any(trial.seen and trial.harm >= DOUBTED for trial in self.applied.values())
+        return CHUNK if self.applied or seconds(self._window) <= LATEST else LOOKED
 
     def _looked(self) -> list[Finding]:
         """Findings of a look at the latest samples."""

@@ -85,10 +85,12 @@ class EarlierFinding:
 
 class FilterFindings(NamedTuple):
     """Findings for the filters: parameters by name of each finding. applied: in the filter that is used. tried: each in
-    a parallel filter, which takes over when the finding is proven."""
+    a parallel filter, which takes over when the finding is proven. doubted: names of the applied ones of which the last
+    minutes show another value."""
 
     applied: dict[str, dict]
     tried: dict[str, dict]
+    doubted: frozenset[str] = frozenset()
 
 
 def merged_settings(ones: Iterable) -> dict:

@@ -51,8 +51,9 @@ COMPARISON_PERIOD = 10**9  # ns from one comparison to the next
 #: wealth (betting.py) of the filter without a finding at which the finding is dropped. A useful finding is dropped at
 #: most once in this many comparisons, which are a day
 DROPPED = 86_400.0
-#: wealth of a new filter at which it takes over although it is less certain. Smaller than DROPPED, as its parameters
-#: have been proven before
+#: wealth at which a new filter takes over although it is less certain, and the filter without a finding that is doubted
+#: (`ChangingFilter.doubt`). Smaller than DROPPED, as there is evidence besides the innovations: the new parameters have
+#: been proven, and a look shows another value than the doubted one
 SHOWN_BETTER = 20.0
 #: number of fixes whose innovations are kept: two filters process the same fix within seconds of each other
 KEPT_FIXES = 100
@@ -183,6 +184,7 @@ class ChangingFilter(WatchedFilter):
         self._without: dict[str, dict] = {}  # parameters without each finding that is applied, or about to be
         self._beside: dict[str, ParallelFilter] = {}  # filters without each finding
         self._ready: list[ParallelFilter] = []  # filters with parameters on trial
+        self._doubted: frozenset[str] = frozenset()
         self._dropped: list[Dropped] = []
         self._blending: Blending | None = None
         self.handovers: list[Handover] = []
@@ -225,6 +227,11 @@ class ChangingFilter(WatchedFilter):
         """Run in parallel, for each finding in the present parameters, a filter without it, as after `change`."""
         self._without = without
         self._beside = {name: self._beside_with(values, SETTLING) for name, values in without.items()}
+
+    def doubt(self, names: frozenset[str]) -> None:
+        """Take these findings for doubtful: an estimate without a filter shows another value, so that less evidence of
+        the fixes (SHOWN_BETTER) is enough to drop one."""
+        self._doubted = names
 
     def dropped(self) -> list[Dropped]:
         """Findings that the filter has dropped since the last call."""
@@ -323,7 +330,8 @@ class ChangingFilter(WatchedFilter):
         """
         for one in self._running:
             one.compare(self.misfits, now)
-        wrong = next((name for name, one in self._beside.items() if one.is_better(DROPPED)), None)
+        wrong = next((name for name, one in self._beside.items() if one.is_better(
+            SHOWN_BETTER if name in self._doubted else DROPPED)), None)
         if wrong is not None:
             self._drop(wrong, now)
         elif self._next is not None:
@@ -331,7 +339,7 @@ class ChangingFilter(WatchedFilter):
 
     def _follow_up(self, now: int) -> None:
         other, waited = self._next.fusion, now - self._next.begun
-        if not self.has_estimate:
+        if not self.has_estimate or (other.aligned and not self.aligned):
             self._take_over(other, now, 0.0, 0.0)
         elif other.aligned and waited >= SETTLING * 1e9:
             position, yaw = self._from(other)
