@@ -7,7 +7,11 @@ import pytest
 from filter_support import configure
 from live_support import fed
 
+from mems_ins_fusion.filter.bank import _copy
+from mems_ins_fusion.filter.memory import Head, Sample, sample_at
+from mems_ins_fusion.filter.runs.coarse import follow
 from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.newest import NewestState
 from mems_ins_fusion.filter.runs.replay import run_with_outages
 from mems_ins_fusion.filter.runs.withheld import AGES, COPIES_AT_ONCE, PERIOD, PERIODS_APART, WEIGHT, Withheld
 from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, learn_changes
@@ -138,6 +142,27 @@ def test_a_memory_of_few_samples_is_followed_in_time():
     short, long = realised(recording, **{'gnss.max_delay': 0.1}), realised(recording)
     # then its copies miss none
     assert long > 1.5 and short == pytest.approx(long, rel=0.01)
+
+
+def test_a_copy_ends_where_a_filter_takes_over_that_has_not_all_samples():
+    # given a copy, and the filter five seconds later
+    recording, fusion = drive(80.0), FusionFilter(configure(NOISE))
+    begin, small = 60 * 25, NewestState(fusion.config, 4, 2, fusion.config.event_capacity)
+    for i in fed(fusion, recording):
+        if i == begin:
+            small.take(fusion._memory)
+            taken = int(fusion._memory[Head.SAMPLES])
+        if i == begin + 125:
+            break
+    # and a second filter that began between both, in a memory that had another one a minute before
+    withheld, newest = fusion.config.from_satellites, int(fusion._memory[Head.SAMPLES])
+    for began, complete in ((taken, True), (taken + 50, False)):
+        second = fusion._memory.copy()
+        for k in range(taken, newest + 1):
+            second[sample_at(second, k) + Sample.TIME] -= 60.0
+        _copy(fusion._memory, second, began)
+        # then the copy goes on with the samples of the second where this has all of them, and ends where it has not
+        assert follow(small.memory.copy(), second, taken, withheld) == complete
 
 
 @pytest.mark.parametrize('inputs', [(), ('speed',)])

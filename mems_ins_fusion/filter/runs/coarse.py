@@ -19,13 +19,14 @@ def follow(small, memory, after, withheld):
     """Continue `small`, whose state 0 is that after sample `after` of `memory`, to the newest sample of `memory`.
 
     withheld: (k,) whether measurements with this `Event.INPUT` are withheld from the copy. A measurement that arrived
-    too late for its step is left out. Returns False if `memory` no longer has all samples.
+    too late for its step is left out. Returns False if `memory` does not have all samples: it no longer has them, or is
+    another filter's that has taken over and began after sample `after` (`bank._copy`).
     """
     k, newest = after + 1, int(memory[Head.SAMPLES])
-    if newest - after > int(memory[Head.CAPACITY]):
-        return False
     first, last = nonnegative(state_at(small, 0)), nonnegative(state_at(small, 1))
     event, begin = int(memory[Head.EVENTS]), small[first + Nav.TIME]
+    if memory[sample_at(memory, after) + Sample.TIME] != begin:
+        return False
     while event > 0 and memory[event_at(memory, event - 1) + Event.TIME] > begin:
         event -= 1
     while k <= newest:
