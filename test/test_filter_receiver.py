@@ -51,6 +51,7 @@ from mems_ins_fusion.filter.trust.new_start import start_anew
 from mems_ins_fusion.filter.trust.receiver import (
     LASTING_TIME,
     SHORT_LOW_PASS,
+    _lasting_factor,
     realised_factor,
     realised_scatter,
     shown_share,
@@ -511,8 +512,22 @@ def test_errors_that_last_go_with_what_is_claimed_now():
         size = np.where(receiver.time < 240.0, 0.01, 1.0)
         receiver.position = true_position(receiver.time) + size[:, None] * slow
         lost.append(newest(receiver.through(sigma=size * SIGMA, **adapts)[1])[Nav.LASTING])
-    assert 0.7 * SIGMA**2 < np.mean(seldom) < 1.6 * SIGMA**2 and 0.7 * SIGMA**2 < np.mean(lost) < 1.6 * SIGMA**2, (
+    # then their variance is found, larger by what its expectation is above the median
+    assert 0.7 * SIGMA**2 < np.mean(seldom) < 2.0 * SIGMA**2 and 0.7 * SIGMA**2 < np.mean(lost) < 2.0 * SIGMA**2, (
         seldom, lost)
+
+
+@pytest.mark.parametrize('level, variance', [(1.0, 0.5), (2.0, 1.0), (0.1, 3.0), (-1.0, 0.0)])
+def test_errors_that_last_have_their_expected_variance(level, variance, rng=np.random.default_rng(8)):
+    # given what is known of the logarithm of a factor on their variance
+    memory = started(configure({**TRUST}))
+    r = state_at(memory, 0)
+    memory[r + OfReceiver.LASTING_SCALE] = level
+    memory[r + OfReceiver.LASTING_SCALE + Scale.REDUCED] = PRIOR - variance
+    # then the factor is its expectation, at most its square (where it is hardly known), and 1 if innovations do not
+    # exclude the claim
+    expected = min(np.exp(rng.normal(level, math.sqrt(variance), 1_000_000)).mean(), math.exp(2.0 * level))
+    assert _lasting_factor(memory, r) == pytest.approx(expected if level > 0.0 else 1.0, rel=0.01)
 
 
 def rare(receiver):

@@ -25,7 +25,7 @@ FEWEST_SEEN = 0.98
 LONGEST_PART = 8
 #: ratio of the squares of the changes on both sides of a point, from which on an innovation jumps on one side: the
 #: filter decides otherwise there (a standstill or none), and a difference across that is no derivative. Where it is
-#: smooth the ratio is near 1
+#: smooth the ratio is near 1, unless its slope is nearly zero; then either side is as good
 JUMP = 10.0
 #: standard deviations of an innovation, largest derivative of it by the logarithm of a noise level: a larger change is
 #: a jump. The noise changes the weight of what has been measured before, so that e times of it moves a prediction by
@@ -62,7 +62,8 @@ def scores(problem: Problem, unknowns: Sequence[Unknown], x, at: Residual | None
     """Residual at `x` and the scores of `unknowns` there, by differences between runs of the filter.
 
     Central differences, or forward ones, as each unknown asks; quick: forward ones for all. Where the innovation of a
-    fix jumps on one side of `x`, its difference on the other side only.
+    fix jumps on one side of `x`, a central difference becomes that on the other side, and a forward one of a noise
+    level zero; other forward differences contain the jump.
     """
     x = np.asarray(x, dtype=float)
     if quick:
@@ -83,7 +84,7 @@ def scores(problem: Problem, unknowns: Sequence[Unknown], x, at: Residual | None
 
 def _slopes(at: Residual, plus: Residual, minus: Residual, unknown: Unknown) -> list[np.ndarray]:
     """Derivatives of z, s and beside by one unknown, from the residuals on both sides of `at`, or on one side and `at`
-    itself."""
+    itself. A fix counts with all its residuals, or with those of one side, as its innovation z jumps or not."""
     factors = at.factors()
     ahead, behind = ((_finite(whiten(factors, (other.z - at.z) / unknown.step)) ** 2).sum(axis=1)
                      for other in (plus, minus))

@@ -108,7 +108,7 @@ def compare(memory):
             return
     _share_scales(memory, other, r)
     if (excess_scatter(memory, r) > CLAIM_CHANGE * memory[Bank.SCATTER]
-            or memory[r + Creep.PROVEN] == time and memory[r + Hypothesis.FIXES_WRONG] == 0.0):
+            or memory[r + Creep.FOUND] == time and memory[r + Hypothesis.FIXES_WRONG] == 0.0):
         # the fixes did not fit because they scatter more than was known, or because the vehicle did not stand: they are
         # not wrong
         memory[r + Hypothesis.FIXES_WRONG] = memory[r + Hypothesis.OFFSET + Offset.VARIANCE] = memory[Bank.OPEN] = 0.0

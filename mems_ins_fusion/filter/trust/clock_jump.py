@@ -7,17 +7,19 @@ uncertain as J explains. The signature of a jump at each possible time would tak
 Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear systems", IEEE Trans.
 Automatic Control 21, 1976). Two of them are known without one:
 
-* *Soon after the jump*, in the innovations of the input: the time derivative of the measured quantity, minus the part
-  of it that the state has already followed, as if it had one state for each component. The variance of the offset is
-  increased by J^2.
-* *Long after it*, in the innovations of all inputs, fixes among them: that of an error which has always been there, by
-  the column of the offset in P. What the Kalman filter gives to the offset, its *corrections* d, is all that is needed.
-  Without a jump they are white, and their variance is what they take from the variance P of the offset. So
+* *Before the state has followed it*, in the innovations of the input: the time derivative of the measured quantity,
+  minus the part of it that the state has already followed, as if it had one state for each component. The variance of
+  the offset is increased by J^2.
+* *After the state has followed it*, in the innovations of all inputs, fixes among them: that of an error which has
+  always been there, by the column of the offset in P. What the Kalman filter gives to the offset, its *corrections* d,
+  is all that is needed. Without a jump they are white, and their variance is what they take from the variance V of the
+  offset. So
 
-      J = sum(d / P) / sum((P before - P after) / P^2)
+      J = sum(d / V) / sum((V before - V after) / V^2)
 
-  with the inverse of the denominator as its variance. Of a velocity all that an error of the offset has moved becomes
-  uncertain, by the regression P(:, offset) / P.
+  with the inverse of the denominator as its variance. P is increased by J^2 g g', with g = P(:, offset) / V: all that
+  an error of the offset has moved becomes uncertain. Used for speeds, velocities and odometries: the jumps of other
+  inputs are found before the state has followed them.
 
 While a vehicle speeds up from rest, a speed that is a tenth too large has nearly the same signature, and a heading that
 is off while it turns: the constant error of the input may have jumped instead. Both are made uncertain by what would
@@ -53,26 +55,26 @@ LARGEST_ERROR = 0.2
 
 
 @njit(_nrt=False)
-def has_jumped(mem, r, at, n, own, dimensions, noise, variance, slips, error):
+def has_jumped(mem, r, at, n, own, dimensions, noise, variance, error):
     """Whether the innovations up to the event at `at` show a jump. Then P in the scratch is increased by what it
     explains, and the variance of `error`, the state of the input's constant error (-1: none), by what would cause the
     same innovation.
 
     own: position of the input's `Seen`. noise, variance: parts of the variance of the innovation, by the input and by
-    the state at r. slips: whether it is refused as slip, which says nothing of the time: clipped, 3 m/s of slip in an
-    acceleration look like half a second.
+    the state at r. Not to be called for an input that is refused as slip, which says nothing of the time: clipped,
+    3 m/s of slip in an acceleration look like half a second.
     """
     state = int(mem[at + Event.TIME_OFFSET])
-    if state <= 0 or slips:
+    if state <= 0:
         return False
     keep = math.exp(-max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0) / JUMP_MEMORY)
     for k in range(4):
         mem[own + Seen.JUMP + k] *= keep
     _add_innovation(mem, r, at, n, own, dimensions, noise, variance, state)
     _add_correction(mem, r, n, own, state)
-    jump, since_long = _significant(mem, r, own + Seen.JUMP, state), False
+    jump, followed = _significant(mem, r, own + Seen.JUMP, state), False
     if jump == 0.0 and is_of_velocity(mem[at + Event.KIND]):  # others are found before the state has followed them
-        jump, since_long = _significant(mem, r, own + Seen.JUMP + 2, state), True
+        jump, followed = _significant(mem, r, own + Seen.JUMP + 2, state), True
     if jump == 0.0:
         return False
     p = int(mem[Head.SCRATCH_AT])
@@ -80,7 +82,7 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance, slips, error):
     if error >= 0 and mem[h + error] != 0.0:
         other = jump * mem[h + state] / mem[h + error]
         mem[p + (n + 1) * error] += min(abs(other), LARGEST_ERROR) ** 2
-    if since_long:
+    if followed:
         column, factor = h + 3 * n, (jump / mem[p + (n + 1) * state]) ** 2
         for i in range(n):
             mem[column + i] = mem[p + n * i + state]

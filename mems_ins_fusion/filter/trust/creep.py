@@ -33,7 +33,7 @@ Creep = ROW.place(
     LAG=1,  # s: position error of the state over this velocity
     TIME=1,  # s, until which LAG is known
     FIX_WRONG=1,  # if it stood: probability that the latest fix has an offset
-    PROVEN=1)  # s, time of the latest fix that showed that the vehicle crept; 0: none
+    FOUND=1)  # s, time of the latest fix that showed that the vehicle crept; 0: none
 
 #: odds at which a creep begins anew: a vehicle that starts to move without being noticed is rare. Chosen, not measured
 UNNOTICED_START = 1e5
@@ -42,7 +42,7 @@ CREEP_VARIANCE = 0.5 * (CREEP_SPEED**2 + CREEP_SCATTER**2)
 #: s after the latest zero-velocity update for which the hypothesis is kept: after that the vehicle has probably turned.
 #: Chosen, not measured
 LONGEST_CREEP = 60.0
-#: s for which standstills are not used after a creep that was taken for one: time to learn the level of motion
+#: s for which standstills are not used after a creep that was taken for a standstill: time to learn the level of motion
 MOTION_TIME = 60.0
 
 
@@ -139,14 +139,14 @@ def correct(mem, r, p, n):
         mem[p + n * i + v] += lag * variance
         mem[p + n * v + i] += lag * variance
         mem[p + (n + 1) * v] += variance
-    mem[r + Creep.PROVEN] = mem[r + Creep.TIME]  # the time of this fix, by `crept`
+    mem[r + Creep.FOUND] = mem[r + Creep.TIME]  # the time of this fix, by `crept`
     mem[r + Creep.ODDS] = 0.0
 
 
 @njit(_nrt=False)
 def has_crept(mem, r):
     """Whether fixes have recently shown that the vehicle crept while it was as quiet as at rest."""
-    return mem[r + Creep.PROVEN] != 0.0 and mem[r + Nav.TIME] - mem[r + Creep.PROVEN] < MOTION_TIME
+    return mem[r + Creep.FOUND] != 0.0 and mem[r + Nav.TIME] - mem[r + Creep.FOUND] < MOTION_TIME
 
 
 @njit(_nrt=False)

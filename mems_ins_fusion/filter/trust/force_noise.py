@@ -72,6 +72,9 @@ def learn_from_velocity(mem, r, time, squared, since):
 def learn_from_change(mem, r, time, squared, noise_share, rest):
     """Update noise that was found before, from the second difference of three rare fixes, the last at `time`, s.
 
+    Unlike an innovation, it does not depend on the state: without it, noise of 1 m/s^2 is not learned while fixes are
+    refused.
+
     squared: its mean square, m^2. noise_share: expectation of it per m^2/s^3 of noise, s^3. rest: expectation by other
     causes, m^2.
     """

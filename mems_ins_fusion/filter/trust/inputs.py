@@ -63,11 +63,12 @@ LARGEST_LOG_VARIANCE = 0.25
 #: sigmas of the change of a speed that fits again after a slip, above which its constant error may be another one: of a
 #: slip that is over it is less (95 %); one that does not end fits as the state becomes uncertain, just below ROBUST
 OTHER_SIGMAS = 2.0
-#: messages of a heading by which a step is found or not, and the number of those before it that they are compared
-#: with: more may differ by what the gyroscopes are off. With 4, a step of 5 deg is 5 sigma of a noise of 0.02 rad
+#: largest number of messages of a heading after a step by which it is found, and time constant, in messages, of the
+#: mean before it. With more, the drift of the gyroscopes counts. A step of 5 deg at a noise of 0.02 rad has 6 sigma
+#: with three messages, 7 with four
 LONGEST_STEP = 4
-#: smallest number of these messages: two of a heading that scatters agree by chance (30 deg at 10 Hz, three drives: RMSE
-#: in the minute after 1.1 m with two, 0.5 m with three)
+#: smallest number of these messages: two of a heading that scatters agree by chance (30 deg at 10 Hz, three drives:
+#: RMSE in the minute after 1.1 m with two, 0.5 m with three)
 FEWEST_OF_STEP = 3
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
@@ -124,8 +125,8 @@ def factor_and_limits(mem, r, at, n, dimensions):
         noise = max(noise, squared - variance, change)
         nis, change_nis = squared / (variance + noise), change / max(expected, noise)
     slips = has_displacement(kind) and _slips(mem, own, kind, time, since, max(nis, change_nis))
-    if clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance, slips,
-                             _constant_error(mem, at)):
+    if not slips and clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * noise, variance,
+                                           _constant_error(mem, at)):
         squared, variance = _innovation(mem, r, at, n, dimensions)
         change, expected = _change(mem, r, at, n, own, noise, variance, since)
         nis, change_nis = squared / (variance + noise), change / expected
@@ -207,7 +208,7 @@ def _change(mem, r, at, n, own, noise, variance, since):
 
 @njit(_nrt=False)
 def _step(mem, r, at, n, own, noise, variance, since):
-    """Mean step of a heading, rad, in the last few messages, none of which has fitted; 0: not significant.
+    """Mean step of a heading, rad, in the last three or four messages, none of which has fitted; 0: not significant.
 
     The yaw of the vehicle makes no step, so that of a heading is another offset: antennas that have turned, a receiver
     that has resolved its phases anew, a compass that was calibrated. noise: variance of the input.

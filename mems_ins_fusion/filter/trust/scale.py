@@ -76,7 +76,8 @@ class _Seen(NamedTuple):
     SINCE: int = 31  # s, time since which its value is the same
     DIFFERENT: int = 32  # number of messages in a row that differ from the previous one
     # clock_jump.py
-    JUMP: int = 33  # 1/s and 1/s^2: jump of its time offset over its variance, and 1 / variance; recent, and any
+    JUMP: int = 33  # jump of its time offset over its variance, 1/s, and 1 / variance, 1/s^2, before the state has
+    # followed it, and the same after that
     OFFSET: int = 37  # s, its time offset at its latest message,
     OFFSET_VARIANCE: int = 38  # s^2, and the variance of that
     FOLLOWED: int = 39  # part of the signature that the state has followed, two components
