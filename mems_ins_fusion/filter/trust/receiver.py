@@ -304,14 +304,17 @@ def _learn_from_innovation(mem, r, at, interval, claimed, lasting):
     squared = 0.5 * (mem[followed] ** 2 + mem[followed + 1] ** 2) * variance
     tau = min(interval * variance / max(p, 1e-9 * variance), SLOWEST_RESPONSE)
     realised = realised_scatter(mem, r)
+    often = interval <= SHORT_LOW_PASS
     if realised < LARGEST_SCATTER:
         lasts = max(1.0 - realised, 0.0) * claimed
         if p > 0.5 * variance:  # the gain is above one half: a single innovation shows whether P is too small
             alone = 0.5 * counted**2 * (u_n * u_n + u_e * u_e) * variance
             learn_force_noise(mem, r, time, alone, variance, p, tau, lasts, 0.5 * p / variance)
-        elif interval <= SHORT_LOW_PASS:  # of rarer fixes the low pass does not separate slow errors from noise
+        elif often:  # of rarer fixes the low pass does not separate slow errors from noise
             learn_force_noise(mem, r, time, squared, white, p, tau, lasts, weight)
-    else:  # until now, noise of the fixes may have been learned as noise of the accelerometers
+    elif often:
+        # until now, noise of the fixes may have been learned as noise of the accelerometers; of rare fixes, such
+        # scatter may be theirs
         reset_scale(mem, r + ForceNoise.SCALE)
     learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(tau) * lasting, white, 2, weight)
 
