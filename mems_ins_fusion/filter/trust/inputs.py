@@ -64,12 +64,9 @@ LARGEST_LOG_VARIANCE = 0.25
 #: slip that is over it is less (95 %); one that does not end fits as the state becomes uncertain, just below ROBUST
 OTHER_SIGMAS = 2.0
 #: largest number of messages of a heading after a step by which it is found, and time constant, in messages, of the
-#: mean before it. With more, the drift of the gyroscopes counts. A step of 5 deg at a noise of 0.02 rad has 6 sigma
-#: with three messages, 7 with four
+#: mean before it. With more, the drift of the gyroscopes counts. A step of 5 deg at a noise of 0.02 rad has 5 sigma
+#: with two messages, 7 with four
 LONGEST_STEP = 4
-#: smallest number of these messages: two of a heading that scatters agree by chance (30 deg at 10 Hz, three drives:
-#: RMSE in the minute after 1.1 m with two, 0.5 m with three)
-FEWEST_OF_STEP = 3
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
 LONGEST_JUMP = 60.0
@@ -208,7 +205,7 @@ def _change(mem, r, at, n, own, noise, variance, since):
 
 @njit(_nrt=False)
 def _step(mem, r, at, n, own, noise, variance, since):
-    """Mean step of a heading, rad, in the last three or four messages, none of which has fitted; 0: not significant.
+    """Mean step of a heading, rad, in the last two to four messages, none of which has fitted; 0: not significant.
 
     The yaw of the vehicle makes no step, so that of a heading is another offset: antennas that have turned, a receiver
     that has resolved its phases anew, a compass that was calibrated. noise: variance of the input.
@@ -221,11 +218,11 @@ def _step(mem, r, at, n, own, noise, variance, since):
         mem[own + Seen.STEP] = 0.0
     change, before = _first(mem, r, at, n) - mem[own + Seen.LEVEL], mem[own + Seen.STEP]
     mem[own + Seen.STEP] += change
-    if not FEWEST_OF_STEP <= count <= LONGEST_STEP:
+    if not 2 <= count <= LONGEST_STEP:
         return 0.0
     step, gain = mem[own + Seen.STEP] / count, _gain(Kind.HEADING, since)
-    if (change - before / (count - 1)) ** 2 > ROBUST**2 * noise * count / (count - 1):
-        return 0.0  # it scatters
+    if (change - before / (count - 1)) ** 2 > (count - 1) * count * noise:
+        return 0.0  # it scatters: not within count - 1 sigma; the fewer they are, the more they must agree
     expected = noise / count + noise * gain / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
     return step if step**2 > NARROW_GATE**2 * expected else 0.0
 
