@@ -213,7 +213,7 @@ def _step(mem, r, at, n, own, noise, variance, since):
     fitted, time = mem[own + Seen.FITTED], mem[at + Event.TIME]
     if fitted <= 0.0 or since <= 0.0 or PRIOR - mem[own + Scale.REDUCED] > LARGEST_LOG_VARIANCE:
         return 0.0
-    count = int((time - fitted) / since + 0.5)
+    count = int((time - fitted) / since + 0.5)  # at equal intervals; after a missing message the sum begins anew
     if count <= 1:
         mem[own + Seen.STEP] = 0.0
     change, before = _first(mem, r, at, n) - mem[own + Seen.LEVEL], mem[own + Seen.STEP]
