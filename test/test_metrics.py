@@ -72,7 +72,8 @@ def test_fixes_that_are_late_are_no_error_of_a_filter_that_estimates_by_how_much
     assert errors_of(run, said).horizontal == pytest.approx(np.full(5, 0.3 * np.hypot(10.0, 4.0)), abs=1e-4)
     # and without such a state nothing is taken away
     without = replace(run, extras=np.empty((5, 0)), config=SimpleNamespace(extras=[]))
-    assert errors_of(without, replace(said, receiver_clock=True)).horizontal == pytest.approx(errors_of(run, said).horizontal)
+    assert errors_of(without, replace(said, receiver_clock=True)).horizontal == pytest.approx(
+        errors_of(run, said).horizontal)
 
 
 TIME = np.arange(5.0)
