@@ -6,7 +6,7 @@
 DATA: folder of the recordings. OUTPUT: for the params files and results; a recording whose result is there already is
 not diagnosed again. RECORDING: only these, by the first letters of `recording, settings`; in ways `drive NUMBER` is any
 simulated drive, from 300 on with receivers of 0.2 to 10 Hz, some with gaps, as in `studies/configure.py --any-fixes`,
-`drive NUMBER motorway` the same vehicle at 25 to 38 m/s.
+`drive NUMBER motorway` the same vehicle, no rover, at 25 to 38 m/s.
 settings: with the defaults, and with what was before them. ways: from nothing but the topics, from the file that
 `configure` writes, and from one by hand; of the recordings and of simulated drives, whose truth is known. Are the time
 offsets, arms, mountings, scales and coloured noise that the three tell alike within their sigmas, and does configure's
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -155,9 +156,12 @@ class Way:
 
 def simulated_drive(name: str, second: int = 0) -> configure.Case:
     """name: `drive NUMBER` or `drive NUMBER motorway`."""
-    number = int(name.split()[1])
+    said = re.fullmatch('drive ([0-9]+)( motorway)?', name)
+    if said is None:
+        sys.exit(f"'{name}' is neither `drive NUMBER` nor `drive NUMBER motorway`")
+    number = int(said[1])
     return configure.case(number, upright=True, duration=SECONDS, any_fixes=number >= ANY_FIXES, second=second,
-                          fast=name.endswith('motorway'))
+                          fast=said[2] is not None)
 
 
 def simulated_bag(name: str, output: Path) -> tuple[Path, configure.Case]:
@@ -332,6 +336,9 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
           'after, m | verdict |\n|---|---|---|---|---|---|---|---|')
     names = [*WAYED, *dict.fromkeys((*(f'drive {number}' for number in SIMULATED),
                                      *(name for name in wanted if name.startswith('drive '))))]
+    unknown = [w for w in wanted if not any(n.startswith(w) for n in names)]
+    if unknown:
+        sys.exit(f'no drive begins with {unknown[0]!r}')
     agreed, beside, judged, true = {}, {}, [], []
     for name in [n for n in names if not wanted or any(n.startswith(w) for w in wanted)]:
         title = name

@@ -90,7 +90,7 @@ def test_an_answer_that_does_not_know_what_was_dropped_does_not_bring_it_back():
     both = {'a': {'x': 1}, 'b': {'y': 2}}
     due = AnswerSchedule(both)
     due.handed()
-    due.answered(FilterFindings(both, {}))
+    due.answered(FilterFindings(both, {}, frozenset({'a'})))
     due.dropped('a')
     assert due.unknown_to(0) == {'a'} and due.unknown_to(1) == set()
     # then that answer says nothing new, and the one to the chunk in which it was dropped counts as it is
@@ -396,27 +396,41 @@ def test_what_an_earlier_drive_has_proven_is_suspect_until_it_is_proven_again(la
     assert said[0][1] == {'gnss.time_offset': -OFFSET} and said[-1] == ({NAME: (SUSPECT, False)}, {})
 
 
+def after_a_look(recording, look, harm):
+    """A diagnosis that has looked at a chunk without fixes with an offset that drives. harm: wealth against it."""
+    work = Online(APPLY, blind, look, [EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET})])
+    trial = work.applied[NAME]
+    for bets in trial.bets.values():
+        bets.con = math.log(harm)
+    chunk = next(iter(chunks(recording)))
+    work.take(chunk.having({**chunk.streams(), 'gnss': chunk.gnss.select(slice(0, 0))}))
+    assert trial.harm == pytest.approx(harm)
+    return work
+
+
+def another_offset(recording, values):
+    return [finding(-OFFSET)]
+
+
 def test_two_turns_take_back_what_the_last_minutes_show_to_be_another(late):
-    # given an offset that drives, and outages that speak against it by as much as two turns do of an antenna
-    def after_a_look(look, harm=2.0 * DOUBTED):
-        work = Online(APPLY, blind, look, [EarlierFinding(NAME, finding().parameters, {'gnss.time_offset': OFFSET})])
-        trial = work.applied[NAME]
-        for bets in trial.bets.values():
-            bets.con = math.log(harm)
-        chunk = next(iter(chunks(late)))
-        work.take(chunk.having({**chunk.streams(), 'gnss': chunk.gnss.select(slice(0, 0))}))
-        assert harm == 1.0 or DOUBTED < trial.harm < TAKEN_BACK
-        return work
+    # given outages that speak against an offset that drives by as much as two turns do of an antenna
+    harm = 2.0 * DOUBTED
+    assert harm < TAKEN_BACK
     # then it goes where a look at the samples shows another value, and not else
-    assert after_a_look(blind).sets == {'gnss.time_offset': OFFSET}
-    other = after_a_look(lambda recording, values: [finding(-OFFSET)])
+    assert after_a_look(late, blind, harm).sets == {'gnss.time_offset': OFFSET}
+    other = after_a_look(late, another_offset, harm)
     assert other.sets == {}
-    # the filter beside is told which finding is doubted, until it is gone
-    assert after_a_look(blind).wanted.doubted == frozenset()
-    doubted = after_a_look(lambda recording, values: [finding(-OFFSET)], harm=1.0)
-    assert doubted.sets == {'gnss.time_offset': OFFSET} and doubted.wanted.doubted == {NAME}
     # and is told as what has been taken back: the other value is what was left beside it
     assert other.trials[NAME].harmful and other.trials[NAME].finding.parameters['time_offset'].value == OFFSET
+
+
+def test_the_filter_beside_is_told_of_which_finding_another_value_is_on_trial(late):
+    # given outages that say nothing against an offset that drives
+    assert after_a_look(late, blind, harm=1.0).wanted.doubted == frozenset()
+    doubted = after_a_look(late, another_offset, harm=1.0)
+    assert doubted.sets == {'gnss.time_offset': OFFSET} and doubted.wanted.doubted == {NAME}
+    # and no longer when it is gone
+    assert after_a_look(late, another_offset, harm=2.0 * DOUBTED).wanted.doubted == frozenset()
 
 
 def test_the_filter_beside_takes_over_at_once_where_a_finding_is_taken_back(late, monkeypatch):

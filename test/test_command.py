@@ -57,10 +57,16 @@ def test_a_misspelled_name_is_answered_with_the_one_meant(argv, meant, capsys):
 
 
 @pytest.mark.parametrize('argv', [['diagnose', 'my bag'], ['diagnose', '--output', 'x', 'my bag'],
-                                  ['configure', '--overwrite', 'my bag', '--output', 'x'], ['characterize', 'my bag']])
+                                  ['configure', '--overwrite', 'my bag', '--output', 'x'], ['characterize', 'my bag'],
+                                  ['bench', 'prepare', '--outage-durations', '10', '30', '--output=x', 'my bag']])
 def test_a_recording_without_its_option_is_answered_with_what_to_write(argv, capsys):
     status, text = said(capsys, *argv)
-    assert status == 2 and "'my bag' stands without its option: write --bag 'my bag'" in text
+    assert status == 2 and "no option before 'my bag': write --bag 'my bag'" in text
+
+
+def test_further_values_of_an_option_are_no_recordings(capsys):
+    status, text = said(capsys, 'bench', 'prepare', '--outage-durations', '10', '-30', '60', '--output', 'x')
+    assert status == 2 and 'write --bag' not in text and '--bag' in text, text
 
 
 @pytest.mark.parametrize(['words', 'hint'], [

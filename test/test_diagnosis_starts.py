@@ -300,6 +300,7 @@ def test_how_fixes_scatter_is_set_only_where_errors_are_smaller_with_it(late, mo
     assert left.corrected()[name] == pytest.approx(2.0 if sets else 0.0)
     assert left.by_part()[0][name] == pytest.approx(1.5 if sets else 0.0)
     assert [f.added for f in left.findings] == [True, sets] and left.model is known.model
+    assert sets or left.findings[1].reason == conclusion.LEARNED
     if learns:
         assert [models[0][name] for models in compared] == pytest.approx([0.0, 1.5])
 

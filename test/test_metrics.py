@@ -67,12 +67,13 @@ def test_fixes_that_are_late_are_no_error_of_a_filter_that_estimates_by_how_much
                   config=SimpleNamespace(extras=[SimpleNamespace(name=name) for name in ('pitch', 'time_offset')]))
     said = make_truth(time, 10.0 * (time - 0.3), -4.0 * (time - 0.3))
     # then fixes as the truth show no error where it is known; a reference of another clock shows all of it
-    known = errors_of(run, replace(said, late=True))
+    known = errors_of(run, replace(said, receiver_clock=True))
     assert known.horizontal == pytest.approx(0.3 * np.hypot(10.0, 4.0) * (late == 0.0), abs=1e-4)
     assert errors_of(run, said).horizontal == pytest.approx(np.full(5, 0.3 * np.hypot(10.0, 4.0)), abs=1e-4)
     # and without such a state nothing is taken away
     without = replace(run, extras=np.empty((5, 0)), config=SimpleNamespace(extras=[]))
-    assert errors_of(without, replace(said, late=True)).horizontal == pytest.approx(errors_of(run, said).horizontal)
+    assert errors_of(without, replace(said, receiver_clock=True)).horizontal == pytest.approx(
+        errors_of(run, said).horizontal)
 
 
 TIME = np.arange(5.0)

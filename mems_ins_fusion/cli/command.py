@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import shlex
 import sys
 from collections.abc import Callable
@@ -33,16 +34,25 @@ class Parser(argparse.ArgumentParser):
                 self.error(f"'{word}' is for nodes: parameters are given in a file, with --params-file")
         loose = self._without_option(words)
         if loose and '--bag' in self._option_string_actions and not any(w.startswith('--bag') for w in words):
-            self.error(f"'{loose}' stands without its option: write --bag {shlex.quote(loose)}")
+            self.error(f"no option before '{loose}': write --bag {shlex.quote(loose)}")
         return super().parse_known_args(args, namespace)
 
     def _without_option(self, words: list[str]) -> str:
         """The first of `words` that is neither an option nor the value of one; '' if the tool takes such words."""
         if self._get_positional_actions():
             return ''
-        known = self._option_string_actions
-        return next((word for before, word in zip(['', *words], words) if not word.startswith('-')
-                     and (before not in known or known[before].nargs == 0)), '')
+        free = 0.0  # number of words that the last option still takes
+        for word in words:
+            if word in self._option_string_actions:
+                number = self._option_string_actions[word].nargs
+                free = {None: 1, '?': 1, '*': math.inf, '+': math.inf}.get(number, number)
+            elif word.startswith('--'):  # --option=value
+                free = 0.0
+            elif free > 0.0:
+                free -= 1.0
+            elif not word.startswith('-'):
+                return word
+        return ''
 
     def _in_params_file(self, name: str) -> str:
         """Hint that `name` is a parameter, not an option; '' where it is none, or no file of them is taken."""

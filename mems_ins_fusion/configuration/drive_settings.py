@@ -234,15 +234,18 @@ def _noise_settings(drives, mounting):
 
 
 def _turn_on_bias(rests: list[Noise]) -> Setting:
-    """gyroscope.bias from the standstills of each drive. The next start has another turn-on bias, so one start shows
-    what stays of it only to gyroscope.initial_sigma, however long it stood; the filter's sigma is that, too."""
+    """gyroscope.bias from the standstills of each recording. The next start has another turn-on bias, so one start
+    shows what stays of it only to gyroscope.initial_sigma, however long it stood; the filter's sigma is that, too. Each
+    recording counts as a start of its own, as stamps do not tell whether the IMU was switched off in between. If one
+    axis shows a bias, all three are set: the best values there are."""
     bias = np.mean([rest.bias for rest in rests], axis=0)
     turn_on = defaults()['gyroscope.initial_sigma'][0] / math.sqrt(len(rests))
     sure = is_sure(float(np.abs(bias).max()), turn_on)
     return Setting('gyroscope.bias', _significant(bias) if sure else [0.0], (
-        f'mean at rest ({count_of(len(rests), "start")}): {", ".join(f"{b:.2g}" for b in bias)} rad/s; the next start '
-        f'has another turn-on bias, so what stays is known to {turn_on:.2g} rad/s{"" if sure else left_at_zero_text()}',
-    ))
+        f'mean over {count_of(len(rests), "recording")} (each counted as a start of its own) of the median at rest: '
+        f'{", ".join(f"{b:.2g}" for b in bias)} rad/s; the next start has another turn-on bias, so what stays is known '
+        f'to {turn_on:.2g} rad/s'
+        + ('; the largest axis is beyond two sigma, so all three are set' if sure else left_at_zero_text()),))
 
 
 def vehicle_settings(drives):

@@ -39,6 +39,8 @@ _AT_REST = 'A recording at rest shows how large it is (configure)'
 MOUNTING = 'mounting_rotation'
 #: why a finding is reported but not added
 NO_PROOF = 'no smaller error is proven with it'
+#: the same, of an effect that only says how fixes scatter
+LEARNED = f'{NO_PROOF}, and the filter learns itself how the fixes scatter (gnss.adapt_sigma)'
 #: the same, if predictions are certainly worse with it
 PREDICTS_WORSE = 'errors and sigmas together predict positions less well with it'
 #: why parameters stay although all changes together make errors smaller
@@ -147,11 +149,12 @@ def concluded(known: SearchState, trials: TrialRuns) -> Diagnosis:
 def _scatter_proven(known: SearchState, trials: TrialRuns) -> SearchState:
     """`known` in which an effect that only says how fixes scatter, where the filter learns that itself, is not added
     unless errors are certainly smaller with it: predictions of fixes whose scatter is known are better even where the
-    vehicle is no better known. The model keeps it, as the sigmas of the others are those beside it."""
+    vehicle is no better known. It stays in the model, because the other estimates and sigmas were
+    fitted together with it."""
     scatter = {effect.name for effect in trials.library if effect.only_scatter and learns_scatter(trials.origin.given)}
     for finding in [f for f in known.findings if f.added and f.name in scatter]:
         without = replace(known, findings=tuple(
-            _only_told(f, '') if f is finding else f for f in known.findings))
+            _only_told(f, LEARNED) if f is finding else f for f in known.findings))
         errors = (trials.errors(one.by_part(), full=True) for one in (without, known))
         if verdict_on(*errors, effects=True).answer != BETTER:
             known = without

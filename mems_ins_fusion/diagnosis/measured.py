@@ -132,7 +132,7 @@ def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, 
     config, delay = FilterConfig.from_parameters(values), round(values['gnss.time_offset'] * 1e9)
     truth, clock = truth_of(recording, values), problem.reference_clock
     if recording.reference is not None and clock == GNSS:
-        truth = replace(shifted_truth(truth, delay), late=True)
+        truth = replace(shifted_truth(truth, delay), receiver_clock=True)
     keep = samples_to_keep(imu, truth.reference.stamp)
     coasting = None
     if durations:

@@ -101,7 +101,8 @@ class Online:
     """The diagnosis of a vehicle whose filter has the checked parameters `values`.
 
     find: an analysis, from recording and parameters to findings; by default those that `diagnose` would add. look: a
-    quick one without a filter, each LOOKED s, with the parameters that are confirmed; by default `direct_findings`.
+    quick one without a filter, with the parameters that are applied; by default `direct_findings`. After each chunk
+    while something is applied or at most LATEST s are kept, else each LOOKED s.
     kept: findings proven in an earlier drive, which are applied and are SUSPECT until they are proven again.
 
     An analysis takes longer than a chunk: its result is used with the answer to a later chunk, always the same one.

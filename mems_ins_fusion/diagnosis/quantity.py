@@ -85,8 +85,8 @@ class EarlierFinding:
 
 class FilterFindings(NamedTuple):
     """Findings for the filters: parameters by name of each finding. applied: in the filter that is used. tried: each in
-    a parallel filter, which takes over when the finding is proven. doubted: names of the applied ones of which the last
-    minutes show another value."""
+    a parallel filter, which takes over when the finding is proven. doubted: names of the applied ones of which
+    another value is on trial, from a look or an analysis."""
 
     applied: dict[str, dict]
     tried: dict[str, dict]

@@ -37,13 +37,14 @@ class Trial:
     """A finding on trial. sets: parameters with the finding. needed: wealth with which it is proven. number: of the
     trial in this drive. share: probability of proving it by chance (`false_alarms.py`).
 
-    applied: whether it is part of the parameters that are used. harmful: whether it was, and has been removed. seen:
-    whether no later analysis contradicts it. kept: for the next drive, if it is applied. advice: manoeuvres that would
-    show it better. errors: by duration, m, without it and with it in each outage. bets: by duration and by the smallest
-    distance of the predictions (`betting.CLEAR`), with the wealth staked so far: of the initial wealth 1, the part 1 /
-    (k (k + 1)) is staked from the k-th chunk on. So losses on a straight road, where the states of the filters decide
-    by chance, need not be made up for in the next turn. No wealth is created by this, so the probability of a proof by
-    chance is the same. taken: number of chunks.
+    applied: whether it is part of the parameters that are used. harmful: whether it was, and has been removed. seen: of
+    one that is applied, whether no other value of it is on trial; else, whether the last analysis of all samples has
+    found it. kept: for the next drive, if it is applied. advice: manoeuvres that would show it better. errors: by
+    duration, m, without it and with it in each outage. bets: by duration and by the smallest distance of the
+    predictions (`betting.CLEAR`), with the wealth staked so far: of the initial wealth 1, the part 1 / (k (k + 1)) is
+    staked from the k-th chunk on. So losses on a straight road, where the states of the filters decide by chance, need
+    not be made up for in the next turn. No wealth is created by this, so the probability of a proof by chance is the
+    same. taken: number of chunks.
     """
 
     finding: Finding

@@ -38,9 +38,10 @@ class Truth:
 
     reference: positions of the point `lever_arm` (3,) m from the IMU, body axes forward-right-down. variance (m,): of
     its north and of its east position, m^2 (0: assumed exact). source: in words. behind: whether it consists of fixes
-    of a receiver that may smooth them; the lag for which the filter corrects is then not counted as an error. late:
-    whether its stamps are of the receiver's clock; the time offset that the filter estimates beside gnss.time_offset is
-    then not counted as an error.
+    of a receiver that may smooth them; the lag for which the filter corrects is then not counted as an error.
+    receiver_clock: whether its stamps are of the receiver's clock; the time offset that the filter estimates beside
+    gnss.time_offset is then not counted as an error. Only of a `Run`: a recorded odometry tells no such offset. The
+    filter's covariance stays as it is, so that it contains what that offset may be off.
     """
 
     reference: Reference
@@ -48,7 +49,7 @@ class Truth:
     variance: np.ndarray
     source: str
     behind: bool = False
-    late: bool = False
+    receiver_clock: bool = False
 
     def __len__(self) -> int:
         return len(self.reference)
@@ -108,9 +109,9 @@ def position_errors(run: Run, truth: Truth, turning: np.ndarray, longest_gap: fl
             + arm_e)
     if truth.behind:
         north, east = north - at(run.behind[:, 0]), east - at(run.behind[:, 1])
-    if truth.late and isinstance(run, Run):
-        since = _estimated_offset(run)
-        north, east = north - at(since * run.velocity[:, 0]), east - at(since * run.velocity[:, 1])
+    if truth.receiver_clock and isinstance(run, Run):
+        offset = _estimated_offset(run)
+        north, east = north - at(offset * run.velocity[:, 0]), east - at(offset * run.velocity[:, 1])
     heading = yaw if reference.yaw is None else reference.yaw
     cos, sin = np.cos(heading), np.sin(heading)
     p_nn, p_ee, p_ne = at(run.sigma[:, 0])**2, at(run.sigma[:, 1])**2, at(run.covariance_ne)
@@ -202,7 +203,7 @@ def truth_from_fixes(fixes: Fixes, lever_arm, time_offset: float, source: str) -
     known = (fixes.covariance_type > 0) & np.isfinite(variance) & (variance > 0)
     return Truth(Reference(fixes.stamp - round(time_offset * 1e9), fixes.latitude, fixes.longitude, fixes.height),
                  np.asarray(lever_arm, dtype=float), np.where(known, variance, 0.0), source, behind=True,
-                 late=True)
+                 receiver_clock=True)
 
 
 def rms(values) -> float:

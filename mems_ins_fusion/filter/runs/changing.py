@@ -53,7 +53,7 @@ COMPARISON_PERIOD = 10**9  # ns from one comparison to the next
 DROPPED = 86_400.0
 #: wealth at which a new filter takes over although it is less certain, and the filter without a finding that is doubted
 #: (`ChangingFilter.doubt`). Smaller than DROPPED, as there is evidence besides the innovations: the new parameters have
-#: been proven, and a look shows another value than the doubted one
+#: been proven, and another value than the doubted one is on trial
 SHOWN_BETTER = 20.0
 #: number of fixes whose innovations are kept: two filters process the same fix within seconds of each other
 KEPT_FIXES = 100
@@ -229,8 +229,8 @@ class ChangingFilter(WatchedFilter):
         self._beside = {name: self._beside_with(values, SETTLING) for name, values in without.items()}
 
     def doubt(self, names: frozenset[str]) -> None:
-        """Take these findings for doubtful: an estimate without a filter shows another value, so that less evidence of
-        the fixes (SHOWN_BETTER) is enough to drop one."""
+        """Take these findings for doubtful: of each another value is on trial, so that less evidence of the fixes
+        (SHOWN_BETTER) is enough to drop one."""
         self._doubted = names
 
     def dropped(self) -> list[Dropped]:
