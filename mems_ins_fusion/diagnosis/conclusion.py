@@ -149,8 +149,8 @@ def concluded(known: SearchState, trials: TrialRuns) -> Diagnosis:
 def _scatter_proven(known: SearchState, trials: TrialRuns) -> SearchState:
     """`known` in which an effect that only says how fixes scatter, where the filter learns that itself, is not added
     unless errors are certainly smaller with it: predictions of fixes whose scatter is known are better even where the
-    vehicle is no better known. It stays in the model, because the other estimates and sigmas were
-    fitted together with it."""
+    vehicle is no better known. It stays in the model, because the other estimates and sigmas were fitted together with
+    it."""
     scatter = {effect.name for effect in trials.library if effect.only_scatter and learns_scatter(trials.origin.given)}
     for finding in [f for f in known.findings if f.added and f.name in scatter]:
         without = replace(known, findings=tuple(

@@ -51,9 +51,9 @@ def apply_event(mem, r, at, sample):
 def _apply_fix(mem, r, at):
     """Check the fix at `at`, correct the state at r with it, and learn from it.
 
-    Checks: extrapolated straight line, new start or heading from the course, the receiver's realised scatter,
-    whether this filter assumes that the fixes are wrong, whether a standstill was a creep, innovation gate.
-    Learned: scatter of the receiver, displacement of the other inputs, drift of the fixes, drift of the sensors.
+    Checks: extrapolated straight line, new start or heading from the course, the receiver's realised scatter, whether
+    this filter assumes that the fixes are wrong, whether a standstill was a creep, innovation gate. Learned: scatter of
+    the receiver, displacement of the other inputs, drift of the fixes, drift of the sensors.
     """
     receiver.take_status(mem, r, at)
     if _is_extrapolated(mem, r, at):

@@ -28,8 +28,8 @@ from .memory import (
 )
 
 #: sigmas: for a larger normalized innovation R is raised until it has this value (Huber). For fixes, the parameter
-#: gnss.robust_sigma takes its place and has the same default. A quarter of it makes the mean error larger
-#: by 10 % (docs/ablation.md)
+#: gnss.robust_sigma takes its place and has the same default. A quarter of it makes the mean error larger by 10 %
+#: (docs/ablation.md)
 ROBUST = 3.0
 
 

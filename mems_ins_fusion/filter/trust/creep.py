@@ -42,7 +42,8 @@ CREEP_VARIANCE = 0.5 * (CREEP_SPEED**2 + CREEP_SCATTER**2)
 #: s after the latest zero-velocity update for which the hypothesis is kept: after that the vehicle has probably turned.
 #: Chosen, not measured
 LONGEST_CREEP = 60.0
-#: s for which standstills are not used after a creep that was taken for a standstill: time to learn the level of motion
+#: s for which standstills are not used after a creep that was taken for a standstill: time to learn the level of
+#: motion. Chosen, not measured
 MOTION_TIME = 60.0
 
 
