@@ -186,7 +186,7 @@ def _chosen(tried: list[tuple[MeasuredCorrection, Verdict]], before: MeasuredErr
     Returns the correction, its errors, the verdict, what this is about (the correction, or if the given parameters
     stay, `_alternative`), and what speaks against the effects that are left out.
     """
-    against, refused = '', {}
+    against, refused = '', []
     ordered = sorted(tried[:-1], key=lambda found: (
         not found[0].correction.effects, found[1].answer != BETTER, not _has(found[0].correction.values, wanted)))
     stand = [found for found in ordered if _each_part_proven(found[0], wanted)]
@@ -194,7 +194,8 @@ def _chosen(tried: list[tuple[MeasuredCorrection, Verdict]], before: MeasuredErr
         worse = '' if verdict.answer == BETTER else _worse(before, one.errors) or (
             NO_PROOF if verdict.answer == WORSE else '')
         if not worse:
-            worse = refused[id(one)] = _worse(before, as_written(one.correction))
+            worse = _worse(before, as_written(one.correction))
+            refused.append((one, worse))
         if not worse:
             return one.correction, one.errors, verdict, one, against or NO_PROOF
         if one.correction.effects:
@@ -204,15 +205,16 @@ def _chosen(tried: list[tuple[MeasuredCorrection, Verdict]], before: MeasuredErr
     return kept.correction, kept.errors, verdict, best, against or NO_PROOF
 
 
-def _alternative(tried: list[tuple[MeasuredCorrection, Verdict]], refused: dict[int, str],
+def _alternative(tried: list[tuple[MeasuredCorrection, Verdict]], refused: list[tuple[MeasuredCorrection, str]],
                  ) -> tuple[MeasuredCorrection, Verdict]:
     """What to report where the given parameters stay: of what was tried, as for `_chosen`, the best predictions that
-    come with a smaller error, as a reader is told the error; else the best predictions. It is not BETTER. refused: what
-    is worse with the values of corrected.yaml, by the id of what was tried."""
+    come with a smaller error, as a reader is told the error; else the best predictions. It is not BETTER. refused: of
+    what was tried, what is worse with the values of corrected.yaml."""
     smaller = [found for found in tried[:-1] if found[1].shown and found[1].shown.smaller]
     best, verdict = [*smaller, *tried][0]
     if verdict.answer == BETTER:
-        verdict = replace(verdict, answer=CANNOT_TELL, why=(refused.get(id(best)) or NOT_EACH,))
+        worse = next((why for one, why in refused if one is best and why), NOT_EACH)
+        verdict = replace(verdict, answer=CANNOT_TELL, why=(worse,))
     return best, verdict
 
 
