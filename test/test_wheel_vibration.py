@@ -205,6 +205,24 @@ def test_it_is_kept_for_the_next_start(heard):
     assert 'wheels' not in make_snapshot(configure(CAR), heard['off'].memory, stamp)
 
 
+def test_it_is_kept_where_the_filter_starts_anew(simulated, heard):
+    # given a clock that jumps by an hour towards the end
+    recording, config = simulated.recording, configure({**CAR, 'wheel_vibration': 'report'})
+    at = int(recording.imu.stamp[0]) + 200 * 10**9
+    imu, gnss = (replace(part, stamp=part.stamp + 3600 * 10**9 * (part.stamp > at),
+                         received=part.received + 3600 * 10**9 * (part.received > at))
+                 for part in (recording.imu, recording.gnss))
+    # when the filter starts anew there
+    found = run(config, imu, gnss)
+    assert found.stamp[-1] == imu.stamp[-1]
+    # then it still knows the circumference, which 40 s alone do not tell
+    told = wheel_vibration.summary(found.memory)
+    assert told['circumference_m'] == pytest.approx(CIRCUMFERENCE, rel=0.01)
+    alone = run(config, imu.select(imu.stamp > at), gnss.select(gnss.stamp > at))
+    assert wheel_vibration.summary(alone.memory)['circumference_m'] is None
+
+
+
 def test_health_tells_it(heard, simulated):
     recording = simulated.recording
     fusion = FusionFilter(configure({**CAR, 'wheel_vibration': 'report'}))

@@ -10,6 +10,7 @@ import numpy as np
 from ...navigation.earth import radii, to_local
 from ...navigation.frames import near, wrap, yaw_from_enu, yaw_of_quaternion
 from ..config import FilterConfig
+from ..measurements.position import NO_ALTITUDE_SIGMA
 from ..memory import Event, Kind
 from ..prediction import UNKNOWN_YAW_SIGMA
 from ..trust.receiver import SHORTEST_PAIR
@@ -85,6 +86,7 @@ class Alignment:
                            if one.kind == Kind.POSITION and not one.is_plain}
         self._places: dict[float, list[tuple]] = {number: [] for number in self._receivers}
         self._fixes: list[tuple] = []  # time, latitude, longitude, variance, height, covariance
+        self._has_height = True  # whether the newest fix has an altitude
         self._first: float | None = None  # time of the first sample
         self._started = -math.inf  # time of the start
         self._saved: SavedState | None = None
@@ -147,6 +149,7 @@ class Alignment:
         one."""
         before = self.waiting_for
         covariance = np.array([[event[Event.R_NN], event[Event.R_NE]], [event[Event.R_NE], event[Event.R_EE]]])
+        self._has_height = event[Event.R_DD] < NO_ALTITUDE_SIGMA**2
         start = self.add_fix(event[Event.TIME], event[Event.LATITUDE], event[Event.LONGITUDE],
                              event[Event.HEIGHT], covariance)
         if start is not None:
@@ -236,7 +239,7 @@ class Alignment:
         covariance[:2, :2] = position
         covariance[[2, 3, 4], [2, 3, 4]] = speed**2, speed**2, UNKNOWN_YAW_SIGMA**2
         return Start(time - ahead, latitude, longitude, height + arm[2], np.zeros(2), math.pi / 2, covariance, still,
-                     gnss_scale=self._scale.copy())
+                     gnss_scale=self._scale.copy(), has_height=self._has_height)
 
     def _keep_fix(self, *fix) -> None:
         """Keep a fix: time, latitude, longitude, variance, height, covariance."""
@@ -508,8 +511,8 @@ class Alignment:
         return Start(time, latitude + north / (meridian + height),
                      longitude + east / ((prime_vertical + height) * math.cos(latitude)), height + arm[2],
                      speed * course, float(wrap(yaw)), covariance, standstill, notes,
-                     self._saved.errors if self._saved else None, self._scale.copy(),
-                     self._saved.wheels if self._saved else None)
+                     errors=self._saved.errors if self._saved else None, gnss_scale=self._scale.copy(),
+                     wheels=self._saved.wheels if self._saved else None, has_height=self._has_height)
 
 
 def _off_line(track: list[tuple], fix: tuple) -> tuple[np.ndarray, float]:

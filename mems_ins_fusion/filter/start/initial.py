@@ -11,6 +11,7 @@ from ...navigation.frames import leveling
 from ...navigation.strapdown import from_euler, matrix
 from ..config import REPEATED_TURN_ON, FilterConfig
 from ..measurements import wheel_vibration
+from ..measurements.position import NO_ALTITUDE_SIGMA
 from ..memory import NAV, ROW, Error, Head, Nav, Sample, newest_row, set_covariance, variance_factor, views
 from ..memory import covariance as covariance_of
 from ..prediction import UNKNOWN_TILT_SIGMA, set_radii
@@ -179,7 +180,8 @@ def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray,
         roll, pitch = math.atan2(-f[1], -f[2]), math.atan2(f[0], math.hypot(f[1], f[2]))
     q = from_euler(roll, pitch, yaw)
     row[Nav.Q_W], row[Nav.Q_X], row[Nav.Q_Y], row[Nav.Q_Z] = q
-    full[Error.R_D, Error.R_D] = 4 * max(start.covariance[0, 0], start.covariance[1, 1])
+    full[Error.R_D, Error.R_D] = (4 * max(start.covariance[0, 0], start.covariance[1, 1]) if start.has_height
+                                  else NO_ALTITUDE_SIGMA**2)
     full[Error.V_D, Error.V_D] = VERTICAL_SPEED_SIGMA**2
     if start.standstill is None:
         full[Error.PHI_N, Error.PHI_N] = full[Error.PHI_E, Error.PHI_E] = UNKNOWN_TILT_SIGMA**2

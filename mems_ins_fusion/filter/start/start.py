@@ -98,6 +98,7 @@ class Start:
     gnss_scale: np.ndarray = field(default_factory=lambda: np.zeros(Scale.CHANGING_SIZE))
     iron: Iron | None = None
     wheels: np.ndarray | None = None  # `wheel_vibration.calibration` of an earlier run
+    has_height: bool = True  # whether its fix has an altitude
 
 
 def transferred(start: Start, old: FilterConfig, new: FilterConfig) -> Start:
