@@ -3,14 +3,20 @@ from __future__ import annotations
 
 import struct
 import sys
+from dataclasses import replace
 from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mems_ins_fusion.configuration.topics import find_topics
+from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements.base import GPS_FIX, NAV_SAT_FIX
+from mems_ins_fusion.filter.measurements.position import NO_ALTITUDE_SIGMA, has_altitude, is_fix
 from mems_ins_fusion.filter.measurements.registry import TYPES
+from mems_ins_fusion.filter.memory import Error
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
@@ -141,6 +147,25 @@ def _live(monkeypatch):
     return kind
 
 
+@pytest.mark.parametrize('kind', [0, 2])  # covariance unknown, and known
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_a_fix_without_altitude_tells_where_and_not_how_high(tmp_path, kind, mechanization):
+    simulated = simulate_recording(simulate_drive(60.0, seed=3), gnss=GnssNoise(0.5), seed=3).recording
+    fixes = replace(simulated.gnss, covariance_type=np.full(len(simulated.gnss), kind, np.uint8))
+    without = np.full(len(fixes), np.nan)
+    write_recording(replace(simulated, gnss=replace(fixes, height=without)), tmp_path / 'without')
+    back = read_recording(tmp_path / 'without', '/imu/data', '/gps/fix')
+    assert is_fix(back.gnss).all() and not has_altitude(back.gnss).any()
+    config = FilterConfig.from_parameters(table.check({'mechanization': mechanization}))
+    level, found = run(config, simulated.imu, fixes), run(config, back.imu, back.gnss)
+    assert len(found.stamp) == len(level.stamp)
+    if mechanization == 'strapdown':
+        assert found.sigma[-1, config.layout.rows[Error.R_D]] > 1000.0  # m
+    for name in ('latitude', 'longitude'):
+        off = 6.4e6 * (getattr(found, name) - getattr(level, name))
+        assert np.abs(off).max() < 0.5  # m, the sigma of one fix
+
+
 def test_live_such_a_message_is_the_same_fix(monkeypatch):
     std = pytest.importorskip('std_msgs.msg')
     from mems_ins_fusion.nodes.inputs import message_class, nav_sat_fix
@@ -156,6 +181,16 @@ def test_live_such_a_message_is_the_same_fix(monkeypatch):
     assert made.status.status == 1 and made.position_covariance_type == 1 and made.header.stamp.sec == 5
     assert made.latitude == pytest.approx(48.0, abs=1e-12)
     np.testing.assert_allclose(made.position_covariance.reshape(3, 3), 4.0 * np.eye(3), rtol=1e-3)
+
+
+def test_live_a_fix_without_altitude_is_the_same_as_in_a_bag():
+    sensor = pytest.importorskip('sensor_msgs.msg')
+    from mems_ins_fusion.nodes.inputs import nav_sat_fix
+
+    made = nav_sat_fix(sensor.NavSatFix(latitude=48.0, longitude=9.0, altitude=float('nan'), position_covariance_type=2,
+                                        position_covariance=np.diag([1.0, 1.0, 4.0]).ravel()))
+    assert made.altitude == 0.0 and made.position_covariance_type == 2
+    assert np.sqrt(made.position_covariance[[0, 4, 8]]).tolist() == [1.0, 1.0, NO_ALTITUDE_SIGMA]
 
 
 def test_what_is_published_and_not_installed_is_named():

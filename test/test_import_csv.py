@@ -8,6 +8,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from mems_ins_fusion.cli.import_csv import main
+from mems_ins_fusion.filter.measurements.position import has_altitude
 from mems_ins_fusion.recordings.csv_import import (
     axes_rotation,
     read_gnss,
@@ -253,8 +254,10 @@ def test_one_log_of_both_has_a_fix_where_the_position_changes(tmp_path, capsys):
 
 
 def test_missing_heights_are_told(tmp_path):
-    assert 'no column of heights: 0 m' in read_gnss(write(tmp_path / 'a.csv', 'time,lat,lon', [(T0, 48, 11)]))[1]
-    assert 'no column' not in read_gnss(write(tmp_path / 'b.csv', 'time,lat,lon,alt', [(T0, 48, 11, 5)]))[1]
+    found, text = read_gnss(write(tmp_path / 'a.csv', 'time,lat,lon', [(T0, 48, 11)]))
+    assert 'no column of heights: fixes without altitude' in text and not has_altitude(found).any()
+    found, text = read_gnss(write(tmp_path / 'b.csv', 'time,lat,lon,alt', [(T0, 48, 11, 5), (T0 + 1, 48, 11, '')]))
+    assert 'no column' not in text and has_altitude(found).tolist() == [True, False] and (found.status == 0).all()
 
 
 def test_columns_given_by_name_and_by_number(files, tmp_path):

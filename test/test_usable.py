@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.measurements.position import without_altitude
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.usable import usable, usable_fixes, usable_samples
 from mems_ins_fusion.parameters import table
@@ -40,6 +41,16 @@ def changed(of, name, where, value):
 def test_good_samples_are_the_same_object():
     imu, found = samples(), fixes()
     assert usable_samples(imu) is imu and usable_fixes(found) is found
+
+
+def test_altitudes_that_are_missing_are_those_between():
+    height, covariance = np.linspace(500.0, 529.0, 30), fixes().covariance.copy()
+    height[10:20] = np.nan
+    without_altitude(height, covariance)
+    found = usable_fixes(replace(fixes(), height=height, covariance=covariance))
+    np.testing.assert_allclose(found.height, np.linspace(500.0, 529.0, 30))
+    none = replace(fixes(), height=np.zeros(30), covariance=np.tile(covariance[10], (30, 1, 1)))
+    assert not usable_fixes(none).height.any()
 
 
 @pytest.mark.parametrize('name', ['specific_force', 'angular_rate'])

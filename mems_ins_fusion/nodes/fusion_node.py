@@ -209,7 +209,7 @@ class FusionNode(Node):
     def _on_fix(self, message, info):
         self._filter.waited = self._fix.traffic.take(message.header, info)
         stamp = self._fix.traffic.stamp
-        if not isinstance(message, NavSatFix):
+        if not isinstance(message, NavSatFix) or math.isnan(message.altitude):
             message = nav_sat_fix(message)
         self._monitor.preflight.add_fix(stamp)
         self._verdicts.keep(message)

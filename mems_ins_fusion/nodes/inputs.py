@@ -54,7 +54,7 @@ def sample_of(measurement: Measurement, messages: Sequence) -> tuple[int, tuple]
 
 
 def nav_sat_fix(message) -> NavSatFix:
-    """A fix in a message of another type, converted by `measurements.position`."""
+    """A fix in a message of another type, or one without altitude, converted by `measurements.position`."""
     fix = MEASUREMENTS[Kind.POSITION]
     _, (latitude, longitude, height, covariance, status, kind) = sample_of(fix, [message])
     made = NavSatFix(header=message.header, latitude=float(np.degrees(latitude)), longitude=float(

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from mems_ins_fusion.filter.measurements.position import is_fix
+from mems_ins_fusion.filter.measurements.position import has_altitude, is_fix
 from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.filter.runs.usable import LARGEST_IN_ANY_UNIT, usable
 from mems_ins_fusion.filter.start.course import FASTEST
@@ -208,6 +208,11 @@ def _check_fixes_present(fixes: Fixes, declared: float):
             count = int(mask.sum())
             yield Remark(ERROR if mask.all() else WARNING, 'gnss', f'{count_of(count, "message")} {text}',
                          {'count': count})
+    level = is_fix(fixes) & ~has_altitude(fixes)
+    if level.any():
+        count = int(level.sum())
+        yield Remark(INFO, 'gnss', f'{count_of(count, "fix" if count == 1 else "fixe")} without altitude: they tell '
+                     'nothing of the height', {'count': count})
     unknown = np.isnan(sigmas(fixes)) & is_fix(fixes)
     if unknown.any() and not declared:
         count = int(unknown.sum())

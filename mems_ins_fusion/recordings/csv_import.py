@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.position import without_altitude
 from mems_ins_fusion.recordings.aiding import FIELDS, PRESSURES, SPEED_UNITS, magnetic_factor, pressure_factor
 from mems_ins_fusion.recordings.csv_columns import (
     ANGLE_UNITS,
@@ -160,10 +161,10 @@ def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle
 
     path: CSV, or NMEA. columns, units, rows: as for `read_imu`, with the keys of GNSS_COLUMNS; angles without a unit
     are in degrees, or in 1e-7 deg if they are beyond 360. sigma: horizontal standard deviation, m, if the file has no
-    column for it; multiplied by HDOP if there is a column for this. Without columns the vertical one is twice that, and
-    the height is zero. Rows with an empty or impossible position, or a status without a fix, become messages without a
-    fix. of_imu: the file has a row for each sample of the IMU: only rows with another position than the row before are
-    fixes. Raises RecordingError.
+    column for it; multiplied by HDOP if there is a column for this. Without a column the vertical one is twice that.
+    Rows without a height become fixes without altitude (`without_altitude`); rows with an empty or impossible position,
+    or a status without a fix, messages without a fix. of_imu: the file has a row for each sample of the IMU: only rows
+    with another position than the row before are fixes. Raises RecordingError.
     """
     if not 0 < sigma < np.inf:
         raise RecordingError(f'the sigma of fixes must be above 0, got {sigma:g}')
@@ -191,17 +192,18 @@ def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle
         return table.numbers(found[wanted].name) * LENGTH_UNITS[found[wanted].unit_among(LENGTH_UNITS, default)]
 
     height = column('height', 'mm' if angle_unit == '1e-7 deg' else 'm')
-    height = np.zeros(len(stamp)) if height is None else height
+    height = np.full(len(stamp), np.nan) if height is None else height.copy()
     horizontal, vertical = column('sigma'), column('vertical_sigma')
     hdop = table.numbers(found['hdop'].name) if 'hdop' in found else None
     covariance = _covariance(horizontal, vertical, hdop, sigma, len(stamp))
+    without_altitude(height, covariance)
     status = _statuses(table, found['status'].name) if 'status' in found else np.zeros(len(stamp), np.int8)
-    present = np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(height)
+    present = np.isfinite(latitude) & np.isfinite(longitude)
     kind = 2 if horizontal is not None and vertical is not None else 1  # diagonal known, or approximated
     fixes = Fixes(stamp, np.maximum.accumulate(stamp), latitude, longitude, height, covariance,
                   np.where(present, status, -1).astype(np.int8), np.full(len(stamp), kind, np.uint8))
     text = summary(table, found, len(stamp), (time_unit, angle_unit))
-    return fixes, text if 'height' in found else f'{text}; no column of heights: 0 m'
+    return fixes, text if 'height' in found else f'{text}; no column of heights: fixes without altitude'
 
 
 def _received(table: Table, columns: dict[str, str], time_unit, of_imu: bool, found: dict[str, Column]

@@ -32,6 +32,9 @@ FEWEST_SATELLITES = 3  # a message with fewer satellites (but not zero: not coun
 SMALLEST_SIGMA = 0.001  # m, lower limit of the standard deviation of a fix, whatever the message states
 LOWEST_HEIGHT = -1000.0  # m above the ellipsoid, smallest height of a land vehicle
 HIGHEST_HEIGHT = 10000.0  # m above the ellipsoid, and its largest
+#: m, standard deviation of the height, 0, of a fix without altitude: so large that 10 Hz for a day do not add up to
+#: knowledge of it
+NO_ALTITUDE_SIGMA = 1e5
 
 
 @njit(_nrt=False)
@@ -88,6 +91,22 @@ def observe_place(mem, r, at, h, n, c, sample):
     return 3 if row_of(mem, Error.R_D) >= 0 else 2
 
 
+def without_altitude(height: np.ndarray, covariance: np.ndarray) -> None:
+    """Where `NavSatFix` has no altitude (NaN, by its definition): height 0, NO_ALTITUDE_SIGMA, in place.
+
+    height (n,) m. covariance (n, 3, 3) m^2.
+    """
+    missing = np.isnan(height)
+    height[missing] = 0.0
+    covariance[missing, 2, :] = covariance[missing, :, 2] = 0.0
+    covariance[missing, 2, 2] = NO_ALTITUDE_SIGMA**2
+
+
+def has_altitude(fixes) -> np.ndarray:
+    """(n,) which of `fixes` came with an altitude."""
+    return ~(fixes.covariance[:, 2, 2] >= NO_ALTITUDE_SIGMA**2)
+
+
 @register_jitable
 def is_place(latitude, longitude, height):
     """Whether a land vehicle can be at a position, rad and m; false for NaN. Of numbers or of arrays."""
@@ -129,6 +148,8 @@ def _judge(events, covariance, kinds, sigma, default_sigma, usable, stated):
         if sigma > 0.0:
             r[Event.R_NN], r[Event.R_NE], r[Event.R_EE] = sigma**2, 0.0, sigma**2
             r[Event.R_DD] = max(r[Event.R_DD], sigma**2)
+        if uu >= NO_ALTITUDE_SIGMA**2:
+            r[Event.R_DD] = uu
     return say
 
 
@@ -231,14 +252,16 @@ class Fix(Measurement):
     def read(self, fields, message):
         if message == GPS_FIX:
             fields = {**fields, **_of_gps_fix(fields)}
+        height, covariance = np.array(fields['altitude']), np.array(fields['position_covariance']).reshape(-1, 3, 3)
+        without_altitude(height, covariance)
         return Fixes(stamp=fields['stamp'], received=fields['received'], latitude=np.radians(fields['latitude']),
-                     longitude=np.radians(fields['longitude']), height=fields['altitude'],
-                     covariance=fields['position_covariance'].reshape(-1, 3, 3), status=fields['status.status'],
-                     covariance_type=fields['position_covariance_type'])
+                     longitude=np.radians(fields['longitude']), height=height, covariance=covariance,
+                     status=fields['status.status'], covariance_type=fields['position_covariance_type'])
 
     def written(self, fixes):
         return {'latitude': np.degrees(fixes.latitude), 'longitude': np.degrees(fixes.longitude),
-                'altitude': fixes.height, 'status.status': fixes.status, 'status.service': 1,  # GPS
+                'altitude': np.where(has_altitude(fixes), fixes.height, np.nan),
+                'status.status': fixes.status, 'status.service': 1,  # GPS
                 'position_covariance': fixes.covariance.reshape(-1, 9),
                 'position_covariance_type': fixes.covariance_type}
 

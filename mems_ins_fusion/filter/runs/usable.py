@@ -12,7 +12,7 @@ import numpy as np
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 from ...parameters.table import defaults
-from ..measurements.position import is_fix
+from ..measurements.position import has_altitude, is_fix
 from .intake import GOOD, JUMPED, LATEST, follow
 
 #: largest value of an IMU in any unit (mg, deg/s): 16 g are 16 000 mg, and the range of MEMS gyroscopes is at most
@@ -69,7 +69,8 @@ def _of_one_clock(stamp: np.ndarray, values: np.ndarray) -> np.ndarray:
 def usable_fixes(fixes: Fixes) -> Fixes:
     """The valid ones of `fixes`, each once, in the order of their stamps.
 
-    A fix whose delay differs from the median delay by more than LATEST has the stamp of another clock.
+    A fix whose delay differs from the median delay by more than LATEST has the stamp of another clock. Where some have
+    no altitude, theirs is interpolated between those that have one.
     """
     index = np.flatnonzero(is_fix(fixes))
     if len(index):
@@ -77,4 +78,10 @@ def usable_fixes(fixes: Fixes) -> Fixes:
         index = index[np.abs(delay - np.median(delay)) <= LATEST]
     _, first = np.unique(fixes.stamp[index], return_index=True)
     index = index[first]
-    return fixes if len(index) == len(fixes) and (index[1:] > index[:-1]).all() else fixes.select(index)
+    if len(index) < len(fixes) or (index[1:] < index[:-1]).any():
+        fixes = fixes.select(index)
+    known = has_altitude(fixes)
+    if known.all() or not known.any():
+        return fixes
+    since = fixes.stamp - fixes.stamp[0]
+    return replace(fixes, height=np.interp(since, since[known], fixes.height[known]))
