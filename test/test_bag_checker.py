@@ -98,6 +98,17 @@ def test_standstill_is_where_the_vehicle_stands(sound):
     assert not find_standstill(smooth, sound.gnss)[time > REST + 3.0].any()
 
 
+def test_bursts(sound):
+    # given a driver that stamps ten samples of 100 Hz when it reads them
+    k, stamp = np.arange(len(sound.imu)), sound.imu.stamp
+    read = stamp[np.minimum(k // 10 * 10 + 9, len(k) - 1)] + 200_000 * (k % 10)
+    found = finding(replace(sound, imu=replace(sound.imu, stamp=read)), 'bursts')
+    assert found.message.startswith('stamps come in bursts of 10, 0.098 s apart, 100 Hz in the mean: set on arrival')
+    # and none in one that loses a third of its samples
+    kept = sound.imu.select(np.random.default_rng(0).random(len(k)) > 1 / 3)
+    assert not any('bursts' in remark.message for remark in check_recording(replace(sound, imu=kept)))
+
+
 def test_gaps(sound):
     keep = np.ones(len(sound.imu), bool)
     keep[5000:5200] = keep[9000:9003] = False

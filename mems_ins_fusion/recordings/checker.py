@@ -34,6 +34,10 @@ from mems_ins_fusion.sensor_errors.models import per_axis
 
 HARDEST = 12.0  # m/s^2, largest acceleration of a land vehicle
 GAP = 2.5  # shortest gap between messages, in median intervals
+#: mean over median interval above which messages come in bursts: where single messages are lost, at most every second
+#: one, it is below 2
+BURST = 2.0
+FEWEST_BURSTS = 10  # fewer gaps than these are gaps. Chosen, not measured
 _AXES = np.array(['x', 'y', 'z'])
 _STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertical is reported to point up
 _SCALE = 0.1  # share of a turn by which gyroscopes may be off; more is reported as a wrong scale
@@ -120,13 +124,20 @@ def _check_stamps(topic, samples):
         return
     interval, jitter = float(np.median(intervals)), robust_sigma(intervals)
     duration = (stamp.max() - stamp.min()) * 1e-9
+    gaps, mean = np.flatnonzero(step * 1e-9 > GAP * interval), duration / len(intervals)
+    if mean > BURST * interval and len(gaps) > FEWEST_BURSTS:
+        size, apart = len(stamp) / (len(gaps) + 1), float(np.median(step[gaps])) * 1e-9
+        yield Remark(WARNING, topic, f'stamps come in bursts of {size:.2g}, {apart:.2g} s apart, {1 / mean:.4g} Hz in '
+                     'the mean: set on arrival, it seems; the driver is to spread them evenly',
+                     {'size': size, 'apart_s': apart, 'rate_hz': 1 / mean})
+        yield from _check_latency(topic, samples)
+        return
     yield Remark(INFO, topic, f'{len(stamp)} messages, {1 / interval:.4g} Hz, {duration:.1f} s; intervals scatter by '
                  f'{jitter * 1e3:.3g} ms',
                  {'count': len(stamp), 'rate_hz': 1 / interval, 'jitter_s': jitter})
     if jitter > 0.3 * interval:
         yield Remark(WARNING, topic, f'stamps are irregular: intervals scatter by {jitter * 1e3:.3g} ms about '
                      f'{interval * 1e3:.3g} ms', {'jitter_s': jitter})
-    gaps = np.flatnonzero(step * 1e-9 > GAP * interval)
     if len(gaps):
         longest = gaps[np.argmax(step[gaps])]
         lost = int(np.round(step[gaps] * 1e-9 / interval - 1).sum())
