@@ -51,8 +51,9 @@ STANDSTILL = {'vehicle.zero_velocity': True, 'vehicle.zero_velocity_sigma': VELO
 
 
 def made(model, mechanization, feedback, constraint=()):
-    return configure({**MODEL_VALUES[model], 'gyroscope.noise_density': DENSITY.tolist(), 'mechanization': mechanization,
-                      'accelerometer.noise_density': [FORCE_DENSITY], 'feedback': feedback, **dict(constraint)})
+    noise = {'gyroscope.noise_density': DENSITY.tolist(), 'accelerometer.noise_density': [FORCE_DENSITY]}
+    return configure({**MODEL_VALUES[model], **noise, 'mechanization': mechanization, 'feedback': feedback,
+                      **dict(constraint)})
 
 
 def first_velocity(config):
