@@ -135,18 +135,20 @@ def test_a_stop_that_passes_for_slow_motion_does_not_hide_the_next_one():
     assert flags[stops[1] & (time > 63.5)].all() and not flags[~(stops[0] | stops[1])].any()
 
 
-def test_what_was_quiet_before_a_gap_does_not_make_a_vehicle_stand_after_it():
-    # given a car that stands, samples that are missing for 10 s, and the car driving off meanwhile
-    time = np.append(0.01 * np.arange(2000), 30.0 + 0.01 * np.arange(300))
+@pytest.mark.parametrize('gap', [1.7, 10.0])
+@pytest.mark.parametrize('before', [0.005, 0.2])
+def test_a_vehicle_that_moves_after_a_gap_does_not_stand(gap, before):
+    # given a car that stands, or moves, samples that are missing, and the car moving after that
+    time = np.append(0.01 * np.arange(2000), 20.0 + gap + 0.01 * np.arange(300))
     memory = configure({'mechanization': 'planar', 'vehicle.zero_velocity': True}).memory()
     sample, flags = sample_at(memory, 1), np.zeros(len(time), dtype=bool)
     for k in range(1, len(time)):
         memory[sample + Sample.TIME] = time[k]
-        steady, varying = (2.0, 0.2) if time[k] > 25.0 else (0.0, 0.005)
+        steady, varying = (2.0, 0.2) if time[k] > 20.0 else (0.0, before)
         memory[sample + Sample.F_X] = steady + varying * np.sin(3.0 * time[k])
-        flags[k] = is_still(memory, sample, 0.01, 0.0, 2.0, False)
-    # then it stands before the gap, and not after it
-    assert flags[(time > 5.0) & (time < 25.0)].all() and not flags[time > 25.0].any()
+        flags[k] = is_still(memory, sample, time[k] - time[k - 1], 0.0, 2.0, False)
+    # then it stands before the gap, or not, and not after it
+    assert (flags[(time > 5.0) & (time < 20.0)] == (before < 0.1)).all() and not flags[time > 20.0].any()
 
 
 def test_a_quiet_vehicle_stands_where_that_is_ten_times_as_likely_as_motion():

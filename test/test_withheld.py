@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from filter_support import configure
+from filter_support import configure, fix_event, started, take_event, take_sample
 from live_support import fed
 
 from mems_ins_fusion.filter.bank import _copy
@@ -142,6 +142,24 @@ def test_a_memory_of_few_samples_is_followed_in_time():
     short, long = realised(recording, **{'gnss.max_delay': 0.1}), realised(recording)
     # then its copies miss none
     assert long > 1.5 and short == pytest.approx(long, rel=0.01)
+
+
+@pytest.mark.parametrize('missing', [0.0, 30.0])
+def test_a_copy_that_is_due_at_the_first_sample_is_followed(missing):
+    # given a filter that has one sample when its first copy is due, and one into whose gap a fix falls
+    config, begin = configure(NOISE), 3.0 * PERIOD
+    memory, copies = started(config, time=begin - 0.01), Withheld(config)
+    copies.begin(begin - 0.01)
+    if missing:
+        take_event(memory, fix_event(begin + 0.5 * missing))
+    # when it is told of the samples, each as often as it asks for
+    for k in range(20):
+        time, calls = begin + 0.04 * k + missing * (k > 10), 0
+        while copies.due <= time:
+            copies.before(time, memory)
+            calls += 1
+            assert calls < 3
+        take_sample(memory, time, 0.0, 0.0, 9.81, 0.0, 0.0, 0.0)
 
 
 def test_a_copy_ends_where_a_filter_takes_over_that_has_not_all_samples():

@@ -48,6 +48,8 @@ LARGEST_SHARE = 0.5
 DRIVEN = 20.0
 #: s, longest time without samples before a comparison. Chosen, not measured
 LONGEST_UNSAMPLED = 1.0
+#: s, between samples, for the first one, which has no interval: above zero, so that a replay goes on
+SHORTEST_INTERVAL = 1e-6
 
 
 class Withheld:
@@ -150,8 +152,10 @@ def _held(memory: np.ndarray) -> float:
     """For how long, s, samples and measurements stay in the memory: half of it (a quarter of the measurements, as the
     older half is dropped at once), at the newest sample's interval and the measurements' rate."""
     newest, count = int(memory[Head.SAMPLES]), int(memory[Head.EVENTS])
-    samples = 0.5 * memory[Head.CAPACITY] * memory[sample_at(memory, newest) + Sample.INTERVAL]
+    interval = max(memory[sample_at(memory, newest) + Sample.INTERVAL], SHORTEST_INTERVAL)
+    samples = 0.5 * memory[Head.CAPACITY] * interval
     if count == 0:
         return samples
-    since = time_of(memory, newest) - memory[event_at(memory, 0) + Event.TIME]
-    return min(samples, 0.25 * memory[Head.EVENT_CAPACITY] * max(since, 0.0) / count)
+    # in a gap of the samples all measurements may be later than the newest one
+    since = max(time_of(memory, newest) - memory[event_at(memory, 0) + Event.TIME], interval)
+    return min(samples, 0.25 * memory[Head.EVENT_CAPACITY] * since / count)
