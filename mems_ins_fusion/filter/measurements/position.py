@@ -14,7 +14,7 @@ from ...samples import Fixes
 from ..memory import Error, Event, Head, Kind, Nav, row_of
 from ..trust.lag import behind
 from .base import GPS_FIX, NAV_SAT_FIX, Measurement
-from .events import empty, refuse
+from .events import refuse
 from .geometry import add, add_attitude_error, arm_of, rotate
 from .time_offset import add_time_offset
 
@@ -126,17 +126,19 @@ def is_fix(fixes) -> np.ndarray:
 
 
 @njit(_nrt=False)
-def _judge(events, covariance, kinds, sigma, default_sigma, usable, stated):
-    """Write the variances of fixes to their events. Returns whether any of them has no position or no covariance.
+def _write(events, kind, latitude, longitude, height, status, covariance, kinds, sigma, default_sigma, usable, stated):
+    """Write fixes to their events, which are zero. Returns whether any of them has no position or no covariance.
 
-    events (n, Event.SIZE): with position and status. covariance (n, 3, 3), kinds (n,): covariances in the messages,
-    and their types. sigma, default_sigma: parameters, m. usable (n,), output: whether each fix has a position. stated
-    (n,), output: whether its covariance is valid.
+    kind: of the events. covariance (n, 3, 3), kinds (n,): covariances in the messages, and their types. sigma,
+    default_sigma: parameters, m. usable (n,), output: whether each fix has a position. stated (n,), output: whether its
+    covariance is valid.
     """
     smallest, default, say = SMALLEST_SIGMA**2, default_sigma**2, False
     for i in range(len(events)):
         r, ee, en = events[i], covariance[i, 0, 0], covariance[i, 0, 1]
         nn, uu = covariance[i, 1, 1], covariance[i, 2, 2]
+        r[Event.KIND], r[Event.STATUS] = kind, status[i]
+        r[Event.LATITUDE], r[Event.LONGITUDE], r[Event.HEIGHT] = latitude[i], longitude[i], height[i]
         usable[i] = is_position(r[Event.LATITUDE], r[Event.LONGITUDE], r[Event.HEIGHT], r[Event.STATUS])
         stated[i] = (math.isfinite(ee) and math.isfinite(en) and math.isfinite(nn) and math.isfinite(uu)
                      and min(ee, nn) > 0.0 and nn * ee > en * en and kinds[i] != 0)
@@ -232,13 +234,14 @@ class Fix(Measurement):
     def events(self, settings, fixes):
         """As `Measurement.events`, with a warning for each fix whose covariance is not usable."""
         n = len(fixes)
-        r, reasons, warnings = empty(Kind.POSITION if self.is_plain else Kind.PLACE, n), {}, {}
-        r[:, Event.LATITUDE], r[:, Event.LONGITUDE], r[:, Event.HEIGHT] = fixes.latitude, fixes.longitude, fixes.height
-        r[:, Event.STATUS] = fixes.status
-        covariance = np.ascontiguousarray(fixes.covariance, dtype=float)
-        kinds = np.ascontiguousarray(fixes.covariance_type, dtype=np.int64)
-        usable, stated = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
-        if not _judge(r, covariance, kinds, settings.sigma, settings.default_sigma, usable, stated):
+        r, reasons, warnings = np.zeros((n, Event.SIZE)), {}, {}
+        latitude, longitude, height, covariance = (np.ascontiguousarray(one, dtype=float) for one in (
+            fixes.latitude, fixes.longitude, fixes.height, fixes.covariance))
+        status, kinds = (np.ascontiguousarray(one, dtype=np.int64) for one in (fixes.status, fixes.covariance_type))
+        usable, stated = np.empty((2, n), dtype=bool)
+        kind = Kind.POSITION if self.is_plain else Kind.PLACE
+        if not _write(r, kind, latitude, longitude, height, status, covariance, kinds, settings.sigma,
+                      settings.default_sigma, usable, stated):
             return r, reasons, warnings
         position = [Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT, Event.STATUS]
         refuse(reasons, ~usable, lambda i: _reason(*r[i, position].tolist()))

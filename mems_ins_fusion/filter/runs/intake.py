@@ -156,8 +156,7 @@ class Intake:
         the filter.
         """
         measurement, settings, offset = self.config.inputs[kind], self.config.settings_of(kind), self._offsets[kind]
-        with np.errstate(over='ignore', invalid='ignore'):  # what no sensor measures is refused by its event
-            events, reasons, warnings = measurement.events(settings, samples)
+        events, reasons, warnings = measurement.events(settings, samples)
         codes, late = np.zeros(len(events), dtype=np.int64), round(offset * 1e9)
         for i in reasons:
             codes[i] = NO_MEASUREMENT

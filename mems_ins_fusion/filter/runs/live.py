@@ -227,7 +227,8 @@ class FusionFilter(FilterStatus):
         measurement = next(m for m in self.config.inputs.values() if m.name == name)
         if self._using_fixes or not measurement.of_antenna:
             stamps, values = np.array([stamp], dtype=np.int64), (np.array([number], dtype=float) for number in numbers)
-            self._add(measurement.number, measurement.samples(stamps, stamps, *values))
+            with np.errstate(over='ignore', invalid='ignore'):  # what no sensor measures is refused by its event
+                self._add(measurement.number, measurement.samples(stamps, stamps, *values))
 
     def _add(self, kind: int, samples) -> None:
         stamp = int(samples.stamp[0])
@@ -269,8 +270,7 @@ class FusionFilter(FilterStatus):
             tally.refuse(stamp, 'too late')
             return
         self._pending[self._ids - 1] = kind, stamp
-        self._judge()
-        self._say_new_starts()
+        self._judge()  # a new start is told with the next sample
 
     def _begin(self, start: Start, stamp: int) -> None:
         self._memory, self._newest_fix = self._started(start), stamp

@@ -205,7 +205,9 @@ class Replay(Intake):
             self._last[kind] = -1
             mine = np.flatnonzero((arrival > kept[0]) & (arrival <= end))
             before = np.searchsorted(kept, arrival[mine])  # number of samples of this stretch before each
-            used, events = self.measured(kind, self.inputs[kind].select(mine), self.imu.stamp[kept[before - 1]], epoch)
+            with np.errstate(over='ignore', invalid='ignore'):  # what no sensor measures is refused by its event
+                used, events = self.measured(kind, self.inputs[kind].select(mine), self.imu.stamp[kept[before - 1]],
+                                             epoch)
             parts.append((np.full(len(used), kind), mine[used], before[used], self.inputs[kind].received[mine[used]],
                           events))
         kind, index, arrival, received, event = (np.concatenate(column) for column in zip(*parts))
