@@ -12,8 +12,9 @@ from mems_ins_fusion.diagnosis.clock import lateness, lateness_against, referenc
 from mems_ins_fusion.diagnosis.drives import Drives
 from mems_ins_fusion.diagnosis.error_changes import compared, larger_errors
 from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.fit import fit
-from mems_ins_fusion.diagnosis.held_out import held_out
+from mems_ins_fusion.diagnosis.held_out import HeldOut, held_out
 from mems_ins_fusion.diagnosis.learned_mounting import learned_angles
 from mems_ins_fusion.diagnosis.measured import measure_errors, without_clock_of_truth
 from mems_ins_fusion.diagnosis.noise import calibrated, noise_unknowns
@@ -25,6 +26,7 @@ from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.reports.diagnosis import _interval, _noise, rounded_value, unexplained_text
+from mems_ins_fusion.reports.diagnosis_answer import _size
 from mems_ins_fusion.reports.effect_words import size_text
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -187,7 +189,7 @@ def test_the_search_uses_standstills_only_where_they_can_be_told_from_motion(lat
     monkeypatch.setattr('mems_ins_fusion.diagnosis.problem.standstills_show', lambda *recorded: (told, 0.1))
     asked = []
     monkeypatch.setattr(TrialRuns, '_measured', lambda trials, models, use: asked.append((use, *models)))
-    given = table.check({})
+    given = table.check({'speed.time_offset_sigma': 0.1})
     trials = TrialRuns((late,), Drives([Problem(late, given)]), (), (10.0,), 30.0, lambda *said: None)
     # when filters are tried for a decision on effects, for the report, and for the choice of noise levels
     trials.errors([given])
@@ -199,6 +201,7 @@ def test_the_search_uses_standstills_only_where_they_can_be_told_from_motion(lat
     assert [use for use, _ in asked] == [FOR_EFFECTS, REPORTED, FOR_LEVELS]
     assert [values['vehicle.zero_velocity'] for _, values in asked] == [told, True, True]
     assert [values['imu.adapt_noise'] for _, values in asked] == [False, True, True]
+    assert [values['speed.time_offset_sigma'] for _, values in asked] == [0.0, 0.1, 0.1]
     assert trials.without_standstills == ({} if told else {'vehicle.zero_velocity': False})
     assert trials.switches == ('imu.adapt_noise', *(() if told else ['vehicle.zero_velocity']))
 
@@ -230,6 +233,17 @@ def test_a_fix_that_is_far_off_is_set_aside(late):
 ])
 def test_the_size_of_an_effect_in_words(effect, parameter, value, sigma, unit, said):
     assert said in size_text(effect, parameter, Estimate(value, sigma, unit))
+
+
+@pytest.mark.parametrize('stated, value, said', [
+    (0.3, -0.02, 'stamped 0.02 s earlier than your file says'), (0.3, 0.02, '0.02 s later than your file says'),
+    (0.0, -0.02, 'stamped 0.02 s too early')])
+def test_a_time_offset_is_in_addition_to_that_of_the_file(stated, value, said):
+    # given an offset that was found with a file that states one, or none
+    finding = Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(value, None, 's')}, 50.0, 1e-6,
+                      True, HeldOut(20.0, 1e-6, []), changes={'gnss.time_offset': stated + value})
+    # then its words are those of what the file lacks
+    assert _size(finding, SimpleNamespace(values={'gnss.time_offset': stated}, hidden={})).endswith(said)
 
 
 @pytest.mark.parametrize('name', EFFECTS)

@@ -163,14 +163,16 @@ class TrialRuns:
     def errors(self, models: Sequence[dict], full: bool = False) -> MeasuredErrors:
         """Errors of one filter (one model), or of several, each in the part of the data that it was not fitted to.
 
-        full: with all that a driving filter adapts, in the outages of the report. Else for decisions on effects:
-        without `gnss.adapt_covariance`, as a covariance that follows the innovations holds the truth whatever effect
-        the model lacks; without `imu.adapt_noise`, as these samples are means over an interval, whose differences show
+        full: with all that a driving filter adapts, in the outages of the report. Else for decisions on effects: with
+        exact time offsets of the inputs, as a filter that estimates them hides wrong ones; without
+        `gnss.adapt_covariance`, as a covariance that follows the innovations holds the truth whatever effect the model
+        lacks; without `imu.adapt_noise`, as these samples are means over an interval, whose differences show
         motion more than noise; and without standstills that are not distinguished from motion, as they hold the
         position in place also if the rest of the model is wrong.
         """
-        decides = {} if full else {'gnss.adapt_covariance': False, 'imu.adapt_noise': False, **self.without_standstills}
-        return self._kept([{**values, **decides} for values in models], REPORTED if full else FOR_EFFECTS)
+        decides = {'gnss.adapt_covariance': False, 'imu.adapt_noise': False, **self.without_standstills}
+        return self._kept(list(models), REPORTED) if full else self._kept(
+            [{**values, **decides, **exact_inputs(values)} for values in models], FOR_EFFECTS)
 
     def each(self, configurations: Sequence[dict]) -> list[MeasuredErrors]:
         """Errors of each of several filters, for the choice of noise levels: with all that a driving filter adapts, as
@@ -181,7 +183,6 @@ class TrialRuns:
         return found
 
     def _kept(self, models: list[dict], use: str) -> MeasuredErrors:
-        models = [{**values, **exact_inputs(values)} for values in models]
         asked = repr((use, [sorted(values.items()) for values in models]))
         if asked not in self.measured:
             self.measured[asked] = self._measured(models, use)

@@ -110,13 +110,15 @@ def _size(f: Finding, d: Diagnosis) -> str:
     if not f.seen:
         why = '; '.join(f'{name.split(".")[1]}: {why}' for name, why in d.hidden.items()
                         if name.startswith(f'{f.name}.'))
-        return f'{sizes}{_beside(f, d)}' if sizes else why or 'its size is not determined'
+        return _beside(f, d, sizes) or why or 'its size is not determined'
     return f'{sizes}; {f.seen}' if f.name in WITH_SIZE else f.seen
 
 
-def _beside(f: Finding, d: Diagnosis) -> str:
-    """That a time offset is in addition to one that the params file has: its words would be those of the whole one."""
-    return ' than your file says' if any(name.endswith('.time_offset') and d.values[name] for name in f.changes) else ''
+def _beside(f: Finding, d: Diagnosis, sizes: str) -> str:
+    """`sizes`; of a time offset that is in addition to one of the params file, said so."""
+    if not any(name.endswith('.time_offset') and d.values[name] for name in f.changes):
+        return sizes
+    return sizes.replace('too late', 'later than your file says').replace('too early', 'earlier than your file says')
 
 
 def _change(f: Finding, d: Diagnosis) -> str:
