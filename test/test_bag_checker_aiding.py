@@ -9,8 +9,9 @@ import pytest
 
 from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offset
 from mems_ins_fusion.navigation.frames import wrap
+from mems_ins_fusion.recordings.aiding import check_heading, check_speed
 from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, check_recording
-from mems_ins_fusion.samples import Headings, Speeds, Velocities, possible
+from mems_ins_fusion.samples import Fixes, Headings, Speeds, Velocities, possible
 from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_drive, simulate_recording
 
 AIDING = ('speed', 'velocity', 'heading')
@@ -74,6 +75,33 @@ def test_a_speed_that_is_wrong(sound):
     assert 'forward has to be positive' in the_one(altered(sound, 'speed', speed=-sound.speed.speed), ERROR).message
     slow = the_one(altered(sound, 'speed', speed=0.7 * sound.speed.speed), WARNING)
     assert 'wrong scale' in slow.message and slow.values['ratio'] == pytest.approx(0.7, rel=0.03)
+
+
+@pytest.mark.parametrize('share', [0.0, 1.0])
+@pytest.mark.parametrize('name, part', [('speed', 'speed'), ('velocity', 'velocity'), ('heading', 'yaw')])
+def test_one_that_is_the_same_in_every_message_is_dead(sound, name, part, share):
+    # given a sensor that repeats zero, or what it had once in motion
+    values = getattr(getattr(sound, name), part)
+    dead = altered(sound, name, **{part: np.broadcast_to(share * values[len(values) // 3], values.shape).copy()})
+    # then that is said, and no factor or offset that would make it fit
+    [found] = [f for f in findings(dead, ERROR) + findings(dead, WARNING) if f.topic == name]
+    assert 'is the same in every message while the vehicle drives' in found.message and not found.settings
+    assert f'leave {name}_topic empty until its sensor works' in found.message
+
+
+def test_a_constant_speed_of_a_vehicle_that_keeps_its_speed_is_not_dead():
+    # given fixes of 5 cm along a circle at 10 m/s, and a speed in whole m/s
+    time = np.arange(0.0, 120.0, 0.2)
+    stamp = (time * 1e9).astype(np.int64)
+    latitude, longitude = (100.0 / 6.37e6 * part for part in (np.sin(time / 10.0), np.cos(time / 10.0)))
+    fixes = Fixes(stamp, stamp, latitude, longitude, np.zeros(len(time)),
+                  np.tile(0.05**2 * np.eye(3), (len(time), 1, 1)), np.zeros(len(time), np.int8),
+                  np.full(len(time), 2, np.uint8))
+    speeds = Speeds(stamp, stamp, np.full(len(time), 10.0), np.full(len(time), 0.01))
+    # then it is compared, and right; a heading that stays the same in these turns is dead
+    assert not [remark for remark in check_speed(speeds, fixes) if remark.severity != INFO]
+    headings = Headings(stamp, stamp, np.full(len(time), 1.0), np.full(len(time), 0.01))
+    assert [remark.values for remark in check_heading(headings, fixes)] == [{'repeated': len(time)}]
 
 
 @pytest.mark.parametrize('factor', [3.6, -1.0, 0.01, -0.5])

@@ -8,7 +8,7 @@ import pytest
 
 from mems_ins_fusion.configuration.baseline import estimate_baseline
 from mems_ins_fusion.configuration.configure import configure
-from mems_ins_fusion.configuration.inputs import clock_of, shown_inputs
+from mems_ins_fusion.configuration.inputs import UnusedTopic, clock_of, shown_inputs
 from mems_ins_fusion.configuration.mounting import Mounting
 from mems_ins_fusion.configuration.turn_offset import estimate_turn_offset
 from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offset
@@ -22,7 +22,7 @@ from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.aiding import forward_speed
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
-from mems_ins_fusion.samples import Aiding
+from mems_ins_fusion.samples import Aiding, Fixes, Speeds, Velocities
 from mems_ins_fusion.simulation import manoeuvres
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
@@ -141,6 +141,57 @@ def test_the_wheels_of_both_sides_have_names_and_places(tmp_path):
         assert found[f'{name}.type'] == 'speed' and found[f'{name}.lever_arm'][1] == pytest.approx(true, abs=0.3)
 
 
+def _dead(samples, part):
+    values = getattr(samples, part)
+    return replace(samples, **{part: np.broadcast_to(values[len(values) // 3], values.shape).copy()})
+
+
+def test_an_input_that_is_the_same_in_every_message_is_not_used(tmp_path):
+    # given a drive whose further sensors all repeat one value, which each had in motion; the drive goes mainly north,
+    # so that a heading that stays the same follows its course most of the time
+    made, values = recorded({}, speed_rate=10.0, velocity_rate=5.0, twist_rate=10.0, heading_rate=5.0,
+                            pressure_rate=5.0)
+    found = made.streams()
+    made = made.having({name: _dead(found[name], part) for name, part in (
+        ('speed', 'speed'), ('velocity', 'velocity'), ('twist', 'twist'), ('heading', 'yaw'),
+        ('pressure', 'pressure'))})
+    found, why = settings_of(written(made, values, tmp_path / 'dead', heading_topic='/gps/heading'))
+    # then none is set, and why is said of each
+    assert not found.keys() & {f'{name}_topic' for name in ('speed', 'velocity', 'twist', 'heading', 'pressure')}
+    assert found['inputs'] == [] and why['inputs'].count('is the same in every message') == 5
+
+
+@pytest.mark.parametrize('change, text', [
+    (lambda v: 3.6 * v, 'it seems to be in km/h instead of m/s'), (lambda v: -v, 'it seems to be of the opposite sign'),
+    (lambda v: v[:, [1, 0, 2]], 'it seems to be north-east-down instead of east-north-up')])
+@pytest.mark.parametrize('topic', ['/gps/velocity', '/vel'])
+def test_a_velocity_in_another_unit_or_frame_is_no_speed_of_wheels(topic, change, text):
+    # given a velocity on a road that goes east most of the time, so that its first component goes with the speed
+    stamp = np.arange(0, 300 * 10**9, 10**9 // 5)
+    time = stamp * 1e-9
+    speed, course = 8.0 + 4.0 * np.sin(time / 20.0), 0.5 * np.pi + 0.5 * np.sin(time / 30.0)
+    north, east = speed * np.cos(course), speed * np.sin(course)
+    fixes = Fixes(stamp, stamp, *(np.cumsum(part) * 0.2 / 6.378e6 for part in (north, east)), np.zeros(len(time)),
+                  np.tile(0.1**2 * np.eye(3), (len(time), 1, 1)), np.zeros(len(time), np.int8),
+                  np.full(len(time), 2, np.uint8))
+    read = {'velocity': Velocities(stamp, stamp, change(np.column_stack([north, east, np.zeros(len(time))])),
+                                   np.tile(0.01 * np.eye(3), (len(time), 1, 1))),
+            'speed': Speeds(stamp, stamp, change(np.column_stack([north, east, 0.0 * east]))[:, 1],
+                            np.full(len(time), 0.01))}
+    # then it is left out, with what is wrong
+    [found] = shown_inputs({topic: read}, {}, None, fixes, np.zeros(0, bool), None)
+    assert isinstance(found, UnusedTopic) and text in found.why
+
+
+def test_of_an_odometry_that_turns_the_other_way_round_only_the_speed_is_used(tmp_path):
+    made, values = recorded({}, twist_rate=20.0)
+    twist = made.streams()['twist']
+    made = made.having({'twist': replace(twist, twist=twist.twist * [1.0, 1.0, -1.0])})
+    found, why = settings_of(written(made, values, tmp_path / 'turned', twist_topic='/wheel/odometry'))
+    assert found['speed_topic'] == '/wheel/odometry' and 'twist_topic' not in found
+    assert 'its turn rate has the opposite sign' in why['speed_topic']
+
+
 @pytest.mark.parametrize('arm', [[1.5, 0.0, 0.0], [-1.0, 0.0, 0.0]])
 def test_where_an_odometry_is_ahead_of_the_axle_shows_in_its_velocity_sideways(arm, tmp_path):
     # given a lidar whose odometry knows the velocity sideways, in front of the IMU or at the axle, 1 m behind it
@@ -170,7 +221,7 @@ def test_what_is_a_result_or_the_same_sensor_twice_is_not_used(tmp_path):
     found, why = settings_of(path)
     assert found['inputs'] == [] and found['speed_topic'] == '/can/speed'
     assert '/nmea/fix is not used: neither another place' in why['inputs']
-    assert '/wheels/speed is not used: it is not shown to measure anything but what /can/speed does' in why['inputs']
+    assert 'it is not shown to measure anything but what /can/speed does' in why['inputs']
 
 
 def test_the_baseline_of_two_antennas_has_an_honest_sigma():

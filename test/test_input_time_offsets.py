@@ -112,6 +112,34 @@ def test_a_clock_that_has_jumped_is_found_when_the_vehicle_slows_down_gently():
     assert errors.horizontal[later].max() < 2.0 and np.mean(errors.nees[later] < NEES_95) > 0.95
 
 
+@pytest.mark.parametrize('jump', [0.5, -0.5])
+def test_a_clock_that_jumps_while_the_vehicle_brakes_hard_is_no_other_scale_factor(jump):
+    # given wheels whose clock jumps by half a second as the vehicle begins to brake hard for longer than a slip lasts:
+    # at first they are 1 m/s off, which passes for slip
+    sensors = SensorErrors.from_parameters(table.check(REALISTIC.imu), 'gauss_markov')
+    recording = simulate_recording(REALISTIC.drive(260.0, 59301), sensors, GnssNoise(1.5, 1.0), seed=59301, **{
+        **REALISTIC.distortions(59301), 'aiding': SimulatedAiding(speed_rate=100.0)}).recording
+    time = (recording.reference.stamp - recording.imu.stamp[0]) * 1e-9
+    speed = np.hypot(*recording.reference.velocity[:, :2].T)
+    slower = np.interp(time, time - 6.0, speed) - speed
+    begin = time[np.argmin(np.where((time > 100.0) & (time < 220.0), slower, 0.0))]
+    assert slower.min() < -9.0
+    wheels, since = recording.speed, (recording.speed.stamp - recording.imu.stamp[0]) * 1e-9 - begin
+    wrong = replace(wheels, stamp=wheels.stamp + np.where(since > 0.0, round(jump * 1e9), 0))
+    wrong = wrong.select(np.argsort(wrong.stamp, kind='stable'))
+    values = table.check({'speed_topic': '/speed', 'reference_lever_arm': [0.0, 0.0, 0.0]})
+    result = run(FilterConfig.from_parameters(values), recording.imu, recording.gnss, Aiding(speed=wrong))
+    # then a few seconds later the clock has another offset, and not the wheels another circumference
+    layout, after = result.config.layout, recording.imu.stamp[0] + round((begin + 15.0) * 1e9)
+    for name, true in (('time_offset', jump), ('scale', 0.0)):
+        state, at = layout.index(f'speed_{name}'), np.searchsorted(result.stamp, after)
+        assert abs(result.extras[at, state - layout.n] - true) < 3.0 * result.sigma[at, state] + 0.02 < 0.5
+    truth = truth_of(recording, values)
+    errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
+    later = errors.stamp > recording.imu.stamp[0] + begin * 1e9
+    assert np.mean(errors.nees[later] < NEES_95) > 0.95
+
+
 @pytest.mark.parametrize('to', [5.0, -8.0])
 def test_a_heading_that_makes_a_step_has_another_offset_at_once(recording, to):
     # given antennas that are turned by some degrees, four sigma of their noise, from 120 s on

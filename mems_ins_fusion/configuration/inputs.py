@@ -33,9 +33,11 @@ from mems_ins_fusion.navigation.frames import near
 from mems_ins_fusion.parameters.table import ALL
 from mems_ins_fusion.recordings.aiding import (
     check_heading,
+    check_speed,
     check_velocity,
     forward_speed,
     magnetic_factor,
+    mistaken_velocity,
     pressure_factor,
     shows_course,
     speed_factor,
@@ -152,9 +154,12 @@ def _kind(topic, read, imu, fixes, mounting) -> InputShown | UnusedTopic:
         return UnusedTopic(topic, 'a result or a reference by its name')
     if 'pressure' in read:
         factor = pressure_factor(read['pressure'])
-        return UnusedTopic(topic, 'no pressure of the air in any unit') if factor is None else InputShown(
-            topic, TYPES['pressure'], 'of the air by its size', factor,
-            dynamic=dynamic_of(read['pressure'], factor, fixes))
+        if factor is None:
+            return UnusedTopic(topic, 'no pressure of the air in any unit')
+        if np.nanmin(read['pressure'].pressure) == np.nanmax(read['pressure'].pressure):
+            return UnusedTopic(topic, 'the pressure is the same in every message')
+        return InputShown(topic, TYPES['pressure'], 'of the air by its size', factor,
+                          dynamic=dynamic_of(read['pressure'], factor, fixes))
     if 'magnetometer' in read:
         return _magnetometer(topic, read['magnetometer'], fixes)
     if 'pose' in read and (not read['twist'].twist.any() if 'twist' in read else OTHER_SENSORS.search(topic)):
@@ -167,16 +172,20 @@ def _kind(topic, read, imu, fixes, mounting) -> InputShown | UnusedTopic:
     goes_forwards = factor is not None and math.isfinite(factor)
     if 'velocity' in read and _points_along(read['velocity'], fixes) and (not goes_forwards or _RECEIVER.search(topic)):
         return InputShown(topic, TYPES['velocity'], 'it points along the track of the fixes')
+    if 'velocity' in read and not WHEELS.search(topic) and (wrong := mistaken_velocity(read['velocity'], fixes)):
+        return UnusedTopic(topic, wrong)
     if not goes_forwards and not (factor is not None and WHEELS.search(topic)):
-        return UnusedTopic(topic, 'it goes neither with the speed of the fixes nor with their velocity'
-                           if factor is None else
+        repeated = [remark.message for remark in check_speed(read['speed'], fixes) if 'repeated' in remark.values]
+        return UnusedTopic(topic, repeated[0] if repeated else
+                           'it goes neither with the speed of the fixes nor with their velocity' if factor is None else
                            'neither its name shows what it is, nor do the fixes: too few of them move fast enough')
     why = 'it goes with the speed of the fixes' if goes_forwards else (
         'by its name: too few fixes move fast enough to compare it with, its unit is taken to be m/s')
-    if 'twist' in read and _turns_as(imu, read['twist'], mounting):
+    kind, turn = 'speed', _turning(imu, read['twist'], mounting, enough=_TURNING) if 'twist' in read else None
+    if turn is not None and turn.correlation < 0:
+        why += ', its turn rate has the opposite sign of that of the gyroscopes and is not used'
+    elif turn is not None:
         kind, why = 'twist', f'{why}, its turn rate with the gyroscopes'
-    else:
-        kind = 'speed'
     return InputShown(topic, TYPES[kind], why, factor if goes_forwards else 1.0)
 
 
@@ -186,7 +195,7 @@ def _pose(topic, displacements, imu, fixes, mounting):
     factor = speed_factor(forward_speed(displacements), fixes)
     if factor is None or not math.isfinite(factor):
         return UnusedTopic(topic, 'the way between its poses does not go with the speed of the fixes')
-    if not _turns_as(imu, displacements, mounting):
+    if _turning(imu, displacements, mounting, enough=_TURNING) is None:
         return UnusedTopic(topic, 'the turns between its poses are not shown to be those of the gyroscopes')
     return InputShown(topic, TYPES['pose'], 'it has no twist; the way between its poses goes with the speed of the '
                       'fixes, their turns with the gyroscopes', factor)
@@ -298,11 +307,6 @@ def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, mounting:
                       min(low_passes, key=lambda one: one.sigma, default=None))
 
 
-def _turns_as(imu, twists, mounting) -> bool:
-    """Whether the turn rate is correlated with that of the gyroscopes, with either sign."""
-    return _turning(imu, twists, mounting, enough=_TURNING) is not None
-
-
 def _turning(imu, twists, mounting, least=_TURNING, enough=1.0) -> TurnOffset | None:
     """Time offset from the turn rate; None if that is not correlated with the gyroscopes, with either sign, or the up
     axis is unknown. enough: as for `estimate_turn_offset`."""
@@ -360,8 +364,8 @@ def _without_repeats(found: list[InputShown | UnusedTopic]) -> list[InputShown |
         one = found[k]
         same = next((other for other in kept.values() if isinstance(other, InputShown) and isinstance(one, InputShown)
                      and _same_source(other, one)), None)
-        kept[k] = one if same is None else UnusedTopic(one.topic, f'it is not shown to measure anything but what '
-                                                       f'{same.topic} does')
+        kept[k] = one if same is None else UnusedTopic(one.topic, f'{one.why}; it is not shown to measure anything but '
+                                                       f'what {same.topic} does')
     return [kept[k] for k in range(len(found))]
 
 

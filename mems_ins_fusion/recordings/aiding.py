@@ -62,6 +62,7 @@ _ZERO = 0.02  # m/s: an input whose speed never exceeds this stays at zero
 #: smallest variance of the unit vectors of the courses, in the direction in which they differ least, for a comparison
 #: with a magnetic field: courses within some 30 deg to each side have less
 _TURNED = 0.02
+_STRAIGHT = 0.99  # mean resultant length of courses above which they are one course: within some 8 deg
 _CURVE = 0.03  # rad by which the courses of chords differ from the headings in bends, with any receiver
 #: matrices that a wrong frame of the message applies to a horizontal velocity (north, east)
 _MISTAKES = {
@@ -120,6 +121,8 @@ def _advice(measurement: Measurement, remarks: list[Remark], declared, settings:
     """Which parameter to set, factor or offset, and the advice in words; each '' where none helps."""
     name = NAMES[measurement.kind]
     shown = {key: value for remark in remarks for key, value in remark.values.items()}
+    if 'repeated' in shown:
+        return '', f'leave {measurement.topic} empty until its sensor works'
     if name in ('speed', 'twist') and 'ratio' in shown:
         if not shown['ratio'] or np.nanmax(np.abs(forward_speed(declared).speed)) < _ZERO:
             return '', ('it stays at zero while the vehicle drives; '
@@ -158,7 +161,7 @@ def forward_speed(samples: Speeds | Twists) -> Speeds:
 
 def _check_forward(topic, speeds, fixes):
     yield from _check_present(topic, speeds, speeds.speed, speeds.variance)
-    compared = _compare(topic, speeds, speeds.speed, fixes)
+    compared = _compare(topic, speeds, speeds.speed, fixes, changes=_speed_changes)
     if isinstance(compared, Remark):
         yield compared
         return
@@ -178,7 +181,7 @@ def speed_factor(speeds: Speeds, fixes: Fixes | None) -> float | None:
     None if they are not proportional to the speed of the fixes, NaN without enough fixes in motion. fixes: as for
     `check_speed`.
     """
-    compared = _compare('speed', speeds, speeds.speed, fixes)
+    compared = _compare('speed', speeds, speeds.speed, fixes, changes=_speed_changes)
     if isinstance(compared, Remark):
         return np.nan if compared.severity == INFO else None
     mean, chords = compared
@@ -194,7 +197,8 @@ def check_velocity(velocities: Velocities, fixes: Fixes | None) -> Iterator[Rema
     """Check unit and frame of the velocity. fixes: valid fixes in the order of their stamps, or None."""
     variance = 0.5 * (velocities.covariance[:, 0, 0] + velocities.covariance[:, 1, 1])
     yield from _check_present('velocity', velocities, velocities.velocity, variance)
-    compared = _compare('velocity', velocities, velocities.velocity, fixes)
+    compared = _compare('velocity', velocities, velocities.velocity, fixes,
+                        changes=lambda chords: _speed_changes(chords) or _course_changes(chords))
     if isinstance(compared, Remark):
         yield compared
         return
@@ -227,10 +231,23 @@ def check_velocity(velocities: Velocities, fixes: Fixes | None) -> Iterator[Rema
     yield from _check_sigma('velocity', 'm/s', (horizontal - chords.velocity).ravel(), chords.sigma, variance)
 
 
+def mistaken_velocity(velocities: Velocities, fixes: Fixes | None) -> str:
+    """What is wrong with a velocity of a receiver, in words: its unit, or exchanged or reversed axes; '' for one that
+    is right, and where it may be no such velocity: one along a single axis may be the speed of wheels. fixes: as for
+    `check_speed`.
+    """
+    east, north = velocities.velocity[:, 1], velocities.velocity[:, 0]
+    if not (east.any() and north.any()):
+        return ''
+    wrong = [remark for remark in check_velocity(velocities, fixes) if remark.severity == ERROR]
+    named = [one for one in wrong if 'ratio' in one.values or any(mistake in one.message for mistake in _MISTAKES)]
+    return named[-1].message if named else ''
+
+
 def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Remark]:
     """Check sense of rotation and zero of the heading. fixes: valid fixes in the order of their stamps, or None."""
     yield from _check_present('heading', headings, headings.yaw, headings.variance)
-    compared = _compare('heading', headings, headings.yaw, fixes, np.unwrap)
+    compared = _compare('heading', headings, headings.yaw, fixes, np.unwrap, _course_changes)
     if isinstance(compared, Remark):
         yield compared
         return
@@ -357,7 +374,7 @@ _CHECKS = {'pressure': check_pressure, 'magnetometer': check_magnetometer, 'spee
 #: name of each kind of measurement
 NAMES = {measurement.kind: measurement.name for measurement in AIDING}
 #: keys of the values of remarks that come from a comparison with fixes
-COMPARED = {'climb', 'horizontal', 'ratio', 'negative', 'cosine', 'offset_rad', 'concentration'}
+COMPARED = {'climb', 'horizontal', 'ratio', 'repeated', 'negative', 'cosine', 'offset_rad', 'concentration'}
 
 
 def _check_present(topic, samples, value, variance):
@@ -374,10 +391,12 @@ def _check_present(topic, samples, value, variance):
                      {'count': count})
 
 
-def _compare(topic, samples, value, fixes, prepare=lambda value: value):
-    """Means of `value` over the chords that the samples cover, and these chords; a Remark where there are too few.
+def _compare(topic, samples, value, fixes, prepare=lambda value: value, changes=lambda chords: False):
+    """Means of `value` over the chords that the samples cover, and these chords; a Remark where there are too few, or
+    where all values are the same although they have to change.
 
     prepare: function that is applied to the finite values, in the order of their stamps, before they are averaged.
+    changes: whether they have to change, by the chords; none is zero in motion.
     """
     chords = _chords(fixes) if fixes is not None else None
     if chords is None or len(chords.begin) < _FEWEST:
@@ -393,6 +412,9 @@ def _compare(topic, samples, value, fixes, prepare=lambda value: value):
         return Remark(WARNING, topic, f'the {topic} hardly overlaps with the fixes of the moving vehicle: nothing to '
                       'compare it with', {'chords': int(enough.sum())})
     chords = chords.select(enough)
+    if (value[order] == value[order][0]).all() and (changes(chords) or not np.any(value[order[0]])):
+        return Remark(ERROR, topic, f'the {topic} is the same in every message while the vehicle drives',
+                      {'repeated': len(order)})
     time = (stamp - stamp[0]) * 1e-9
     area = integral(time, prepare(value[order]))
     begin, end = ((edge - stamp[0]) * 1e-9 for edge in (chords.begin, chords.end))
@@ -401,6 +423,14 @@ def _compare(topic, samples, value, fixes, prepare=lambda value: value):
         return (np.interp(end, time, column) - np.interp(begin, time, column)) / (end - begin)
 
     return (mean(area) if area.ndim == 1 else np.column_stack([mean(column) for column in area.T])), chords
+
+
+def _speed_changes(chords: _Chords) -> bool:
+    return robust_sigma(chords.speed) > _PROPORTIONAL * np.median(chords.speed)
+
+
+def _course_changes(chords: _Chords) -> bool:
+    return _concentration(chords.course) < _STRAIGHT
 
 
 def _chords(fixes: Fixes) -> _Chords | None:

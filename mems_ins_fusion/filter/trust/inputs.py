@@ -14,7 +14,7 @@ from ..measurements.geometry import angular_rate, arm_of, body_velocity, rotate,
 from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
 from . import clock_jump, contradiction, displacement, hypotheses, receiver, repeats
-from .clock_jump import LARGEST_ERROR
+from .clock_jump import LARGEST_ERROR, LARGEST_OFFSET
 from .scale import PRIOR, Scale, Seen, learn_changes, reopen, scale, seen_of
 from .standstill import SLOWEST_SPEED
 
@@ -336,9 +336,16 @@ def _refuses(mem, at, n, own, since, squared, far_off, slips, confirmed):
 
 @njit(_nrt=False)
 def _may_be_constant(mem, at, n, squared):
-    """Whether a constant error of the input at `at` may be as large as its innovation, squared."""
-    error = _constant_error(mem, at)
-    return error >= 0 and squared < (LARGEST_ERROR * mem[int(mem[Head.SCRATCH_AT]) + n * n + error]) ** 2
+    """Whether another constant error of the input at `at`, or another time offset, may explain its innovation,
+    squared."""
+    return _explains(mem, n, _constant_error(mem, at), squared, LARGEST_ERROR) or _explains(
+        mem, n, _time_offset(mem, at), squared, LARGEST_OFFSET)
+
+
+@njit(_nrt=False)
+def _explains(mem, n, state, squared, largest):
+    """Whether an error of `state` (-1: none) of less than `largest` explains an innovation, squared."""
+    return state >= 0 and squared < (largest * mem[int(mem[Head.SCRATCH_AT]) + n * n + state]) ** 2
 
 
 @njit(_nrt=False)
@@ -371,11 +378,12 @@ def _is_right_again(mem, r, at, n, own, squared, expected):
 
 @njit(_nrt=False)
 def _raise_error(mem, at, n, squared):
-    """The constant error of the input at `at`, where it has one, may have become another one: its variance is raised by
-    what would explain that the innovation, squared, has changed by so much."""
-    if squared > 0.0 and _may_be_constant(mem, at, n, squared):
-        error, p = _constant_error(mem, at), int(mem[Head.SCRATCH_AT])
-        mem[p + (n + 1) * error] += squared / mem[p + n * n + error] ** 2
+    """The constant error of the input at `at`, or its time offset, may have become another one: the variance of each is
+    raised by what would explain that the innovation, squared, has changed by so much. Later ones tell them apart."""
+    p = int(mem[Head.SCRATCH_AT])
+    for state, largest in ((_constant_error(mem, at), LARGEST_ERROR), (_time_offset(mem, at), LARGEST_OFFSET)):
+        if squared > 0.0 and _explains(mem, n, state, squared, largest):
+            mem[p + (n + 1) * state] += squared / mem[p + n * n + state] ** 2
 
 
 @njit(_nrt=False)
@@ -442,6 +450,13 @@ def _constant_error(mem, at):
     kind = mem[at + Event.KIND]
     is_one = is_forward_speed(kind) or kind == Kind.HEADING
     return int(mem[at + Event.STATE]) if is_one else -1
+
+
+@njit(_nrt=False)
+def _time_offset(mem, at):
+    """Index of the state that is the time offset of the input at `at`, -1: none."""
+    state = int(mem[at + Event.TIME_OFFSET])
+    return state if state > 0 else -1
 
 
 @njit(_nrt=False)
