@@ -88,11 +88,12 @@ def test_what_is_realised_and_slow_errors_of_the_receiver_count():
     # then a realised variance of four times the expected one halves the time, a quarter doubles it
     for realised, times in ((1.0, 1.0), (4.0, 0.5), (0.25, 2.0)):
         assert predict(memory, realised=realised).seconds == pytest.approx(times * expected, abs=2 * STEP)
-    # and of slow errors, of which 3 m^2 are published, a third and one sigma of its scale, the third is used
+    # and of slow errors, of which 3 m^2 are claimed and published, as they may change more slowly than in a minute, the
+    # tenth counts that innovations show
     row[Nav.LASTING] = 3.0
-    row[Receiver.LASTING_SCALE + Scale.LOG] = -math.log(3.0)
-    row[Receiver.LASTING_SCALE + Scale.REDUCED] = PRIOR - math.log(3.0)**2
-    slow = math.sqrt((5.0 / ROUND)**2 - 1.0) / 0.5
+    row[Receiver.LASTING_SCALE + Scale.LOG] = -math.log(10.0)
+    row[Receiver.LASTING_SCALE + Scale.REDUCED] = PRIOR - math.log(2.0)**2
+    slow = math.sqrt((5.0 / ROUND)**2 - 0.3) / 0.5
     assert predict(memory).seconds == pytest.approx(slow, abs=2 * STEP)
     # whatever is realised of the rest
     assert predict(memory, realised=0.25).seconds == pytest.approx(2.0 * slow, abs=2 * STEP)

@@ -6,8 +6,8 @@ constraint, and the wheel speed where there is one, are applied with zero innova
 changes. Standstills are not applied, as it is unknown whether there will be one. The horizon ends where the horizontal
 error exceeds `horizon.limit` with a probability above 5 %, by the published covariance, whose part P counts with the
 factor that copies of the filter without fixes have shown (withheld.py), and the receiver's slow errors with the
-estimate of their variance. While another filter takes over (blending.py), the difference that is added to the published
-position counts as an error.
+variance that its innovations show. While another filter takes over (blending.py), the difference that is added to the
+published position counts as an error.
 """
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from ..memory import (
 )
 from ..prediction import predict
 from ..trust.inputs import SPEED_CORRELATION
-from ..trust.receiver import Receiver
+from ..trust.receiver import Receiver, _lasting_factor
 from ..trust.scale import Scale, scale, seen_of
 from ..update import begin_update, end_update, update
 from .newest import STEP, NewestState
@@ -87,18 +87,18 @@ class HorizonPredictor:
         """
         copy, width = self._small.take(memory), int(memory[Head.WIDTH])
         first, state = state_at(copy, 0), state_at(memory, int(memory[Head.SAMPLES]))
-        copy[first + Nav.LASTING] *= _mean_over_used(memory, state + Receiver.LASTING_SCALE)
+        copy[first + Nav.LASTING] *= _shown_over_published(memory, state)
         copy[first + 2 * width:][:width] = copy[first:][:width]
         copy[int(copy[Head.EVENTS_AT]):][:Event.SIZE], interval = _wheel_speed(memory, memory[state + Nav.TIME])
         copy[Head.MAX_GAP] = math.inf
         return Horizon(*_predict(copy, self._limit, self._speed, interval, exceeded, *added, realised))
 
 
-def _mean_over_used(memory: np.ndarray, at: int) -> float:
-    """Estimate of the scale at `at` over what is used of it. Below 1 that is the estimate and one sigma: no error with
-    a small sigma. The horizon is to be right in 95 % of the outages, neither less nor more."""
-    level = memory[at + Scale.LOG]
-    return math.exp(level) / scale(memory, at) if level < 0.0 else 1.0
+def _shown_over_published(memory: np.ndarray, state: int) -> float:
+    """Variance of the receiver's slow errors by the innovations alone over the one that is published, of the state at
+    `state`. What is published may be too large: it is as claimed, unless the claim is excluded for each time constant
+    of these errors. The horizon is to be right in 95 % of the outages, neither less nor more."""
+    return math.exp(memory[state + Receiver.LASTING_SCALE + Scale.LOG]) / _lasting_factor(memory, state)
 
 
 def _wheel_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
