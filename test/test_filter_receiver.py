@@ -51,7 +51,7 @@ from mems_ins_fusion.filter.trust.new_start import start_anew
 from mems_ins_fusion.filter.trust.receiver import (
     LASTING_TIME,
     SHORT_LOW_PASS,
-    _lasting_factor,
+    lasting_factor,
     realised_factor,
     realised_scatter,
     shown_share,
@@ -527,7 +527,7 @@ def test_errors_that_last_have_their_expected_variance(level, variance, rng=np.r
     # then the factor is its expectation, at most its square (where it is hardly known), and 1 if innovations do not
     # exclude the claim
     expected = min(np.exp(rng.normal(level, math.sqrt(variance), 1_000_000)).mean(), math.exp(2.0 * level))
-    assert _lasting_factor(memory, r) == pytest.approx(expected if level > 0.0 else 1.0, rel=0.01)
+    assert lasting_factor(memory, r) == pytest.approx(expected if level > 0.0 else 1.0, rel=0.01)
 
 
 def rare(receiver):

@@ -40,7 +40,7 @@ from ..memory import (
 )
 from ..prediction import predict
 from ..trust.inputs import SPEED_CORRELATION
-from ..trust.receiver import Receiver, _lasting_factor
+from ..trust.receiver import Receiver, lasting_factor
 from ..trust.scale import Scale, scale, seen_of
 from ..update import begin_update, end_update, update
 from .newest import STEP, NewestState
@@ -98,7 +98,7 @@ def _shown_over_published(memory: np.ndarray, state: int) -> float:
     """Variance of the receiver's slow errors by the innovations alone over the one that is published, of the state at
     `state`. What is published may be too large: it is as claimed, unless the claim is excluded for each time constant
     of these errors. The horizon is to be right in 95 % of the outages, neither less nor more."""
-    return math.exp(memory[state + Receiver.LASTING_SCALE + Scale.LOG]) / _lasting_factor(memory, state)
+    return math.exp(memory[state + Receiver.LASTING_SCALE + Scale.LOG]) / lasting_factor(memory, state)
 
 
 def _wheel_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:

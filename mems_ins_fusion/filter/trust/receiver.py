@@ -208,7 +208,7 @@ def learn(mem, r, at, left_n, left_e):
         _learn_from_innovation(mem, r, at, time - mem[r + Nav.RESIDUAL_TIME], claimed, lasting)
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
         mem[r + Nav.VARIANCE_FACTOR] = scale(mem, r + Receiver.INNOVATION_SCALE)
-        mem[r + Nav.LASTING] = min(_lasting_factor(mem, r) * lasting,
+        mem[r + Nav.LASTING] = min(lasting_factor(mem, r) * lasting,
                                    LARGEST_LASTING * max(realised_scatter(mem, r), 1.0) * claimed)
     mem[r + Nav.RESIDUAL_TIME] = time
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
@@ -246,7 +246,7 @@ def _lasting(mem, r, at, claimed):
 
 
 @njit(_nrt=False)
-def _lasting_factor(mem, r):
+def lasting_factor(mem, r):
     """Factor on the variance of slow errors by the claim. Innovations tell it for each time constant of these errors:
     from LASTING_TIME up to SLOWEST_LASTING_TIME. The claim is believed where it is between both, else the nearer one.
     Where these errors are larger than claimed, the factor is its expectation, not its median: that of a log-normal
