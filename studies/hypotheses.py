@@ -7,7 +7,7 @@ A member is a copy of the filter's memory whose own checks are off (no gate, no 
 not believe since t0: nobody (*nominal*), the *fixes*, or the *IMU*; or that the state had *diverged*, and began anew
 from a line through the latest fixes. Its score is the logarithm of the prior (rates below) and of the likelihood of
 all that has come since: fixes, lateral constraints, standstills. In an undisturbed drive there is one member. A fix
-that fits it too badly, fixes that go straight on to the centimetre, or constraints that do not fit open a dispute;
+that fits it too badly, fixes that go straight on to the centimetre, or constraints that do not fit start hypotheses;
 who agrees with a better one or has lost by DROPPED goes. What is published is the best member, with the covariance of
 the mixture about it (D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans.
 Automatic Control 10, 1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting multiple model algorithm", the same 33,
@@ -75,7 +75,7 @@ STAYS, WANDERS, TURNS = 0.0004, 0.01, 0.02
 DRIFT = 3.0
 #: members are dropped when they have lost by so many nats; no more than so many go on
 DROPPED, MOST = 9.0, 6
-#: normalized innovation squared that opens a dispute: one fix in a hundred, by chance
+#: normalized innovation squared that starts hypotheses: one fix in a hundred, by chance
 MISFIT = 9.2
 #: and nats of constraints
 SLIDES = 4.0
@@ -598,7 +598,7 @@ def main() -> None:
     parser.add_argument('--rate', type=float, default=1.0, help='of the fixes, Hz')
     parser.add_argument('--only', default='', help='faults with one of these in their name, separated by commas')
     parser.add_argument('--also-as-it-is', action='store_true', help='the filter as it is in rows of its own')
-    parser.add_argument('--verbose', action='store_true', help='the members at each fix of a dispute')
+    parser.add_argument('--verbose', action='store_true', help='the members at each fix while there are hypotheses')
     parser.add_argument('--output', type=Path)
     options = parser.parse_args()
     Bank.verbose = options.verbose

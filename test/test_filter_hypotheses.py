@@ -236,8 +236,8 @@ def test_fixes_that_jump_and_come_back_are_left_and_the_ellipse_reaches_to_them(
     off = np.hypot(*error.T)
     assert off.max() < np.hypot(*coasting.T).max() + 1.0 and off[round(50 * 43.0):].max() < 2.0
     # and from 5 s on, when five fixes have been refused, to the end the 95 % ellipse reaches to the fixes
-    disputed = slice(round(50 * 36.5), round(50 * 40.0))
-    assert (math.sqrt(chi2.ppf(0.95, 2)) * sigma[disputed, 1] > 0.8 * 40.0).all()
+    undecided = slice(round(50 * 36.5), round(50 * 40.0))
+    assert (math.sqrt(chi2.ppf(0.95, 2)) * sigma[undecided, 1] > 0.8 * 40.0).all()
 
 
 def a_jump():

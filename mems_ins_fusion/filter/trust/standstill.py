@@ -187,7 +187,8 @@ def is_still(mem, sample, dt, speed, sigma, without_fixes):
     if anew:
         for i in range(PARTS + 1):
             mem[Still.SQUARES + i] = mem[Still.DURATIONS + i] = 0.0
-        return 0.0  # its interval, the gap, would fill the window with this one sample
+        if not first:  # its interval, the gap, would fill the window with this one sample
+            return 0.0
     mean, seen = _mean_square(mem, square, dt)
     if seen < STILL_WINDOW:
         return 0.0
