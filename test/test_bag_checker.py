@@ -104,7 +104,9 @@ def test_bursts(sound):
     read = stamp[np.minimum(k // 10 * 10 + 9, len(k) - 1)] + 200_000 * (k % 10)
     found = finding(replace(sound, imu=replace(sound.imu, stamp=read)), 'bursts')
     assert found.message.startswith('stamps come in bursts of 10, 0.098 s apart, 100 Hz in the mean: set on arrival')
-    # and none in one that loses a third of its samples
+    # and none in one that was paused for 20 s after each second, or that loses a third of its samples
+    paused = replace(sound.imu, stamp=stamp + 20 * 10**9 * (k // 100))
+    assert not any('bursts' in remark.message for remark in check_recording(replace(sound, imu=paused)))
     kept = sound.imu.select(np.random.default_rng(0).random(len(k)) > 1 / 3)
     assert not any('bursts' in remark.message for remark in check_recording(replace(sound, imu=kept)))
 

@@ -12,7 +12,7 @@ import pytest
 from mems_ins_fusion.configuration.topics import find_topics
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements.base import GPS_FIX, NAV_SAT_FIX
-from mems_ins_fusion.filter.measurements.position import NO_ALTITUDE_SIGMA, has_altitude, is_fix
+from mems_ins_fusion.filter.measurements.position import NO_ALTITUDE_SIGMA, has_altitude, is_fix, without_altitude
 from mems_ins_fusion.filter.measurements.registry import TYPES
 from mems_ins_fusion.filter.memory import Error
 from mems_ins_fusion.filter.runs.replay import run
@@ -164,6 +164,18 @@ def test_a_fix_without_altitude_tells_where_and_not_how_high(tmp_path, kind, mec
     for name in ('latitude', 'longitude'):
         off = 6.4e6 * (getattr(found, name) - getattr(level, name))
         assert np.abs(off).max() < 0.5  # m, the sigma of one fix
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_fixes_with_and_without_altitude_in_turns_keep_the_height(mechanization):
+    simulated = simulate_recording(simulate_drive(60.0, seed=3), gnss=GnssNoise(0.5), seed=3).recording
+    height, covariance = simulated.gnss.height.copy(), simulated.gnss.covariance.copy()
+    height[1::2] = np.nan
+    without_altitude(height, covariance)
+    found = run(FilterConfig.from_parameters(table.check({'mechanization': mechanization})), simulated.imu,
+                replace(simulated.gnss, height=height, covariance=covariance))
+    # then it is that of the level road from the second fix after the start on
+    assert np.abs(found.height[300:] - simulated.reference.height[0]).max() < 3.0  # m
 
 
 def test_live_such_a_message_is_the_same_fix(monkeypatch):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mems_ins_fusion.configuration.regression import blocks, jackknife
+from mems_ins_fusion.filter.measurements.position import has_altitude
 from mems_ins_fusion.filter.measurements.pressure import height_of, is_air
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import positions
@@ -48,7 +49,7 @@ def estimate_dynamic_pressure(pressures: Pressures, fixes: Fixes) -> DynamicPres
     time, at = ((samples - fixes.stamp[0]) * 1e-9 for samples in (pressures.stamp[good], fixes.stamp))
     step, moved = np.diff(at), np.diff(positions(fixes)[:, :2], axis=0)
     shown = (step > 0.0) & (step < _LONGEST) & (at[:-1] > time[0]) & (at[1:] < time[-1])
-    if np.count_nonzero(shown) < _FEWEST:
+    if np.count_nonzero(shown) < _FEWEST or not has_altitude(fixes).any():
         return None
     flow = np.square(moved / np.maximum(step, 1e-3)[:, None]).sum(axis=1)[shown] / (2.0 * STANDARD_GRAVITY)
     middle = 0.5 * (at[1:] + at[:-1])[shown]

@@ -195,7 +195,8 @@ def _pose(topic, displacements, imu, fixes, mounting):
     factor = speed_factor(forward_speed(displacements), fixes)
     if factor is None or not math.isfinite(factor):
         return UnusedTopic(topic, 'the way between its poses does not go with the speed of the fixes')
-    if _turning(imu, displacements, mounting, enough=_TURNING) is None:
+    turn = _turning(imu, displacements, mounting, enough=_TURNING)
+    if turn is None or turn.correlation < 0:
         return UnusedTopic(topic, 'the turns between its poses are not shown to be those of the gyroscopes')
     return InputShown(topic, TYPES['pose'], 'it has no twist; the way between its poses goes with the speed of the '
                       'fixes, their turns with the gyroscopes', factor)

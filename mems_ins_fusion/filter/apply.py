@@ -94,7 +94,8 @@ def _apply_fix(mem, r, at):
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
     if verdict != Verdict.REFUSED or crept:
         end_update(mem, r)
-        if row_of(mem, Error.R_D) < 0 and verdict != Verdict.REFUSED:
+        has_altitude = mem[at + Event.R_DD] < position.NO_ALTITUDE_SIGMA**2
+        if row_of(mem, Error.R_D) < 0 and verdict != Verdict.REFUSED and has_altitude:
             mem[r + Nav.HEIGHT] = height
         set_radii(mem, r)
     creep.note_correction(mem, r, mem[at + Event.WEIGHT] * known / (known + variance))

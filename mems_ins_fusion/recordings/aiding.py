@@ -237,7 +237,8 @@ def mistaken_velocity(velocities: Velocities, fixes: Fixes | None) -> str:
     `check_speed`.
     """
     east, north = velocities.velocity[:, 1], velocities.velocity[:, 0]
-    if not (east.any() and north.any()):
+    moving = np.hypot(east, north) > 0.5 * np.nanmedian(np.hypot(east, north))
+    if not (east.any() and north.any()) or _concentration(np.arctan2(east, north)[moving]) > _STRAIGHT:
         return ''
     wrong = [remark for remark in check_velocity(velocities, fixes) if remark.severity == ERROR]
     named = [one for one in wrong if 'ratio' in one.values or any(mistake in one.message for mistake in _MISTAKES)]
@@ -412,7 +413,8 @@ def _compare(topic, samples, value, fixes, prepare=lambda value: value, changes=
         return Remark(WARNING, topic, f'the {topic} hardly overlaps with the fixes of the moving vehicle: nothing to '
                       'compare it with', {'chords': int(enough.sum())})
     chords = chords.select(enough)
-    if (value[order] == value[order][0]).all() and (changes(chords) or not np.any(value[order[0]])):
+    seen = value[order] if value.ndim == 1 else value[order][:, :2]  # a vertical velocity may be NaN
+    if (seen == seen[0]).all() and (changes(chords) or not np.any(seen[0])):
         return Remark(ERROR, topic, f'the {topic} is the same in every message while the vehicle drives',
                       {'repeated': len(order)})
     time = (stamp - stamp[0]) * 1e-9

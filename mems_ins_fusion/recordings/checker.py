@@ -38,6 +38,7 @@ GAP = 2.5  # shortest gap between messages, in median intervals
 #: one, it is below 2
 BURST = 2.0
 FEWEST_BURSTS = 10  # fewer gaps than these are gaps. Chosen, not measured
+LONGEST_PAUSE = 1.0  # s between bursts: what is longer is a pause of the recording. Chosen, not measured
 _AXES = np.array(['x', 'y', 'z'])
 _STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertical is reported to point up
 _SCALE = 0.1  # share of a turn by which gyroscopes may be off; more is reported as a wrong scale
@@ -125,9 +126,10 @@ def _check_stamps(topic, samples):
     interval, jitter = float(np.median(intervals)), robust_sigma(intervals)
     duration = (stamp.max() - stamp.min()) * 1e-9
     gaps, mean = np.flatnonzero(step * 1e-9 > GAP * interval), duration / len(intervals)
-    if mean > BURST * interval and len(gaps) > FEWEST_BURSTS:
-        size, apart = len(stamp) / (len(gaps) + 1), float(np.median(step[gaps])) * 1e-9
-        yield Remark(WARNING, topic, f'stamps come in bursts of {size:.2g}, {apart:.2g} s apart, {1 / mean:.4g} Hz in '
+    apart = float(np.median(step[gaps])) * 1e-9 if len(gaps) > FEWEST_BURSTS else np.inf
+    if mean > BURST * interval and apart < LONGEST_PAUSE:
+        size = len(stamp) / (len(gaps) + 1)
+        yield Remark(WARNING, topic, f'stamps come in bursts of {size:.0f}, {apart:.2g} s apart, {1 / mean:.4g} Hz in '
                      'the mean: set on arrival, it seems; the driver is to spread them evenly',
                      {'size': size, 'apart_s': apart, 'rate_hz': 1 / mean})
         yield from _check_latency(topic, samples)

@@ -224,8 +224,10 @@ def _nmea_fixes(path, sigma: float) -> tuple[Fixes, str]:
     order = np.argsort(found.stamp, kind='stable')
     stamp, count = found.stamp[order], len(found.stamp)
     status = np.array([_QUALITY.get(q, 0) for q in found.quality[order]], np.int8)
-    fixes = Fixes(stamp, stamp.copy(), found.latitude[order], found.longitude[order], found.height[order],
-                  _covariance(None, None, found.hdop[order], sigma, count), status, np.full(count, 1, np.uint8))
+    height, covariance = found.height[order], _covariance(None, None, found.hdop[order], sigma, count)
+    without_altitude(height, covariance)
+    fixes = Fixes(stamp, stamp.copy(), found.latitude[order], found.longitude[order], height, covariance, status,
+                  np.full(count, 1, np.uint8))
     return fixes, f'{path}: {count} NMEA positions; sigma {sigma:g} m times HDOP'
 
 

@@ -40,12 +40,12 @@ def read_nmea(path) -> NmeaFixes:
             if kind == 'RMC' and len(fields) > 9 and fields[9]:
                 day = _plausible_day(datetime.strptime(fields[9], '%d%m%y'))
                 if fields[2] == 'A':
-                    fixes['RMC'].append((day, time_of_day(fields[1]), *_nmea_position(fields[3:7]), 0.0, 1,
+                    fixes['RMC'].append((day, time_of_day(fields[1]), *_nmea_position(fields[3:7]), np.nan, 1,
                                          np.nan))
             elif kind == 'ZDA' and len(fields) > 4 and fields[4]:
                 day = _plausible_day(datetime(int(fields[4]), int(fields[3]), int(fields[2])))
             elif kind == 'GGA' and len(fields) > 11 and fields[6] not in ('', '0'):
-                height = float(fields[9] or 0.0) + float(fields[11] or 0.0)
+                height = float(fields[9] or 'nan') + float(fields[11] or 0.0)
                 fixes['GGA'].append((day, time_of_day(fields[1]), *_nmea_position(fields[2:6]), height,
                                      int(fields[6]), float(fields[8] or 'nan')))
         except ValueError:

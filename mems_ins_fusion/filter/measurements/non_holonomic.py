@@ -12,19 +12,27 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import NAV, Error, Event, Head, Sample, row_of
 from ..trust.white_noise import density
+from ..update import product
 from .geometry import add_body_velocity, angular_rate, body_velocity, second_order, vehicle_to_level
+
+#: rad, largest angle by which a row is turned back: it is linear in it, and noise turns the axes by some hundredths of
+#: this between two constraints. Chosen, not measured
+LARGEST_ANGLE = 0.2
 
 
 @njit(_nrt=False)
-def _noise_of_direction(mem, sample, force, turn, innovation, forward):
-    """Angle, rad, by which the noise of a gyroscope has turned the axis across which `innovation`, m/s, is seen.
+def _turn_back(mem, r, h, n, c, z, forward, force, turn):
+    """Turn the row of H at `h` back by what the noise of a gyroscope has turned its axis.
 
-    The share of the gyroscope in the white noise of that velocity: its own times the forward velocity, m/s, and that of
-    the accelerometer along the axis. force, turn: the two sensors, as axes of the IMU sample at `sample`.
+    That shows in the innovation, of which it is the gyroscope's share of the white noise: its noise times the forward
+    velocity, m/s, beside that of the accelerometer along the axis. c: rotation from the vehicle's axes to n. z:
+    measurement, m/s. force, turn: noise density squared of the accelerometer, m^2/s^3, and of the gyroscope, rad^2/s.
     """
-    by_turn = forward * forward * density(mem, sample, turn)
-    total = by_turn + density(mem, sample, force)
-    return by_turn / total * innovation / forward if by_turn > 0.0 else 0.0
+    by_turn = forward * forward * turn
+    if by_turn > 0.0:
+        innovation = z - product(mem, n, h, r + NAV)
+        angle = by_turn / (by_turn + force) * innovation / forward
+        add_body_velocity(mem, r, h, c, 0, -max(-LARGEST_ANGLE, min(angle, LARGEST_ANGLE)))
 
 
 @njit(_nrt=False)
@@ -33,10 +41,11 @@ def observe(mem, r, at, h, n, c, sample):
 
     Both are linearised at the estimate of the mounting, which may be any angle; `update` subtracts H times it from z.
 
-    A gyroscope's noise turns the row of H and, times the speed, makes the innovation. Both are one error, so each
-    correction would take something from the speed, and P would hold that for knowledge of it: with white noise of
-    0.2 rad/s an estimate of 26 m/s became 0 within a minute, sigma 0.6 m/s. So the rows are turned back by what of the
-    innovation is that noise (`_noise_of_direction`); then they are perpendicular to the velocity where it is all of it.
+    The noise of a gyroscope turns the row of H and, times the speed, makes the innovation. A correction takes them for
+    independent, lowers the speed each time, and makes P smaller: with white noise of 0.2 rad/s an estimate of 26 m/s
+    became 0 within a minute, sigma 0.6 m/s. So the rows are turned back (`_turn_back`), by the noise of the sensors'
+    axes as they are mounted by the parameters; where all of the innovation is that noise, they are perpendicular to the
+    velocity.
     """
     yaw, axle, pitch = int(mem[Head.MOUNTING_YAW]), int(mem[Head.AXLE]), int(mem[Head.MOUNTING_PITCH])
     w_x, w_y, w_z = angular_rate(mem, r, sample)
@@ -51,15 +60,13 @@ def observe(mem, r, at, h, n, c, sample):
     lateral = body_velocity(mem, r, c, 1) + w_z * mem[Head.AXLE_X] - w_x * mem[Head.AXLE_Z]
     lateral -= mem[Head.SIDESLIP] * acceleration * forward  # sideslip of the tyres in a bend
     add_body_velocity(mem, r, h, c, 1, 1.0)
-    innovation = lateral
-    if axle >= 0:
-        mem[h + axle] = -w_z
-        innovation += w_z * mem[r + NAV + axle]
-    add_body_velocity(mem, r, h, c, 0, -_noise_of_direction(mem, sample, 1, 5, innovation, forward))
     if yaw >= 0:
         mem[h + yaw] = forward
         lateral += forward * turn
     mem[at + Event.Z_N] = lateral
+    if axle >= 0:
+        mem[h + axle] = -w_z
+    _turn_back(mem, r, h, n, c, lateral, forward, density(mem, sample, 1), density(mem, sample, 5))
     angle = (mem[Head.ANGLE_SIGMA] * forward) ** 2
     mem[at + Event.R_NN] = (mem[Head.LATERAL_SIGMA] ** 2 + angle
                             + (mem[Head.SLIP_SIGMA] * acceleration * forward) ** 2
@@ -69,17 +76,15 @@ def observe(mem, r, at, h, n, c, sample):
         return 1
     vertical = body_velocity(mem, r, c, 2) + w_x * mem[Head.AXLE_Y] - w_y * mem[Head.AXLE_X]
     add_body_velocity(mem, r, h + n, c, 2, 1.0)
-    across, innovation = int(mem[Head.AXLE_ACROSS]), vertical
+    across = int(mem[Head.AXLE_ACROSS])
     if axle >= 0:
         mem[h + n + axle] = w_y
-        innovation -= w_y * mem[r + NAV + axle]
     if across >= 0:
         mem[h + n + across] = -w_x
-        innovation += w_x * mem[r + NAV + across]
-    add_body_velocity(mem, r, h + n, c, 0, -_noise_of_direction(mem, sample, 2, 4, innovation, forward))
     if pitch >= 0:
         mem[h + n + pitch] = -forward
         vertical -= forward * mem[r + NAV + pitch]
+    _turn_back(mem, r, h + n, n, c, vertical, forward, density(mem, sample, 2), density(mem, sample, 4))
     mem[at + Event.Z_E] = vertical
     mem[at + Event.R_EE] = mem[Head.VERTICAL_SIGMA] ** 2 + angle + second_order(mem, n, c, 1, pitch)
     return 2

@@ -32,8 +32,7 @@ FEWEST_SATELLITES = 3  # a message with fewer satellites (but not zero: not coun
 SMALLEST_SIGMA = 0.001  # m, lower limit of the standard deviation of a fix, whatever the message states
 LOWEST_HEIGHT = -1000.0  # m above the ellipsoid, smallest height of a land vehicle
 HIGHEST_HEIGHT = 10000.0  # m above the ellipsoid, and its largest
-#: m, standard deviation of the height, 0, of a fix without altitude: so large that 10 Hz for a day do not add up to
-#: knowledge of it
+#: m, standard deviation of the height, 0, of a fix without altitude: so large that 10 Hz for an hour leave 500 m
 NO_ALTITUDE_SIGMA = 1e5
 
 

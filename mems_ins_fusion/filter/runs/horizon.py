@@ -95,9 +95,9 @@ class HorizonPredictor:
 
 
 def _shown_over_published(memory: np.ndarray, state: int) -> float:
-    """Variance of the receiver's slow errors by the innovations alone over the one that is published, of the state at
-    `state`. What is published may be too large: it is as claimed, unless the claim is excluded for each time constant
-    of these errors. The horizon is to be right in 95 % of the outages, neither less nor more."""
+    """Variance of the receiver's slow errors by the innovations alone over the one that is published (before its upper
+    limit), of the state at `state`. What is published may be too large: it is as claimed, unless the claim is excluded
+    for each time constant of these errors. The horizon is to be right in 95 % of the outages, neither less nor more."""
     return math.exp(memory[state + Receiver.LASTING_SCALE + Scale.LOG]) / lasting_factor(memory, state)
 
 

@@ -319,11 +319,11 @@ def _comes_back(mem, own, kind, time, since):
 @njit(_nrt=False)
 def _refuses(mem, at, n, own, since, squared, far_off, slips, confirmed):
     """Whether a speed, velocity, odometry or heading that does not fit is refused: it slips, or is far off for longer
-    than a slip lasts while fixes confirm the state, by more than its constant error can be. The latter makes it wrong
-    until it `_is_right_again`. squared: of the innovation."""
+    than a slip lasts while fixes confirm the state, by more than its constant error, or its time offset, can be. The
+    latter makes it wrong until it `_is_right_again`. squared: of the innovation."""
     kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
     if confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0:  # no slip lasts for so long
-        if _may_be_constant(mem, at, n, squared):
+        if _may_be_another_constant(mem, at, n, squared):
             _forget_error(mem, at, n, own, squared)
             return False
         mem[own + Seen.FITTED] = -time
@@ -335,7 +335,7 @@ def _refuses(mem, at, n, own, since, squared, far_off, slips, confirmed):
 
 
 @njit(_nrt=False)
-def _may_be_constant(mem, at, n, squared):
+def _may_be_another_constant(mem, at, n, squared):
     """Whether another constant error of the input at `at`, or another time offset, may explain its innovation,
     squared."""
     return _explains(mem, n, _constant_error(mem, at), squared, LARGEST_ERROR) or _explains(
@@ -361,7 +361,7 @@ def _is_right_again(mem, r, at, n, own, squared, expected):
         return False
     if is_of_heading(kind):  # the state's heading may be what it has made of it
         return displacement.is_compared(mem, own)
-    if squared > ROBUST**2 * expected and not _may_be_constant(mem, at, n, squared):
+    if squared > ROBUST**2 * expected and not _may_be_another_constant(mem, at, n, squared):
         mem[own + Seen.FITTED] = -time
         displacement.interrupt(mem, own)
         return False
@@ -393,6 +393,7 @@ def _forget_error(mem, at, n, own, squared):
     error = _constant_error(mem, at)
     if error >= 0:
         mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error] += min(displacement.squared_share(mem, own), LARGEST_ERROR**2)
+    if error >= 0 or _time_offset(mem, at) >= 0:
         _raise_error(mem, at, n, squared)
         mem[own + Seen.ABOVE] = mem[own + Seen.BELOW] = 0.0
         displacement.forget_share(mem, own)
@@ -447,16 +448,20 @@ def _repeated(lasts, since):
 def _constant_error(mem, at):
     """Index of the state that is the constant error of the input at `at`, -1: none: scale factor error of a speed or an
     odometry, offset of a heading."""
-    kind = mem[at + Event.KIND]
-    is_one = is_forward_speed(kind) or kind == Kind.HEADING
-    return int(mem[at + Event.STATE]) if is_one else -1
+    return int(mem[at + Event.STATE]) if _has_constants(mem[at + Event.KIND]) else -1
 
 
 @njit(_nrt=False)
 def _time_offset(mem, at):
-    """Index of the state that is the time offset of the input at `at`, -1: none."""
+    """Index of the state that is the time offset of the same inputs, -1: none."""
     state = int(mem[at + Event.TIME_OFFSET])
-    return state if state > 0 else -1
+    return state if state > 0 and _has_constants(mem[at + Event.KIND]) else -1
+
+
+@njit(_nrt=False)
+def _has_constants(kind):
+    """Whether what is constant of an input of this kind is told by one component of its innovation."""
+    return is_forward_speed(kind) or kind == Kind.HEADING
 
 
 @njit(_nrt=False)

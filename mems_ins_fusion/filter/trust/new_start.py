@@ -11,6 +11,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..history import forget
 from ..measurements.geometry import set_heading
+from ..measurements.position import NO_ALTITUDE_SIGMA
 from ..memory import NAV, Error, Event, Head, Nav, Verdict, row_of, velocity_state, yaw_state
 from ..prediction import GAP_ACCELERATION, UNKNOWN_TILT_SIGMA, UNKNOWN_YAW_SIGMA
 from ..update import scratch_of
@@ -158,9 +159,14 @@ def start_anew(mem, r, at):
     first = velocity_state(mem)
     for i in range(2):
         mem[p + (n + 1) * (first + i)] = drift
+    unknown, height_variance = NO_ALTITUDE_SIGMA**2, 4.0 * variance
     if row_of(mem, Error.R_D) >= 0:
-        mem[r + Nav.HEIGHT], mem[r + Nav.V_D] = mem[at + Event.HEIGHT], 0.0
-    for error, value in ((Error.R_D, 4.0 * variance), (Error.V_D, NEW_VELOCITY_SIGMA**2),
+        mem[r + Nav.V_D] = 0.0
+        if mem[at + Event.R_DD] < unknown:
+            mem[r + Nav.HEIGHT] = mem[at + Event.HEIGHT]
+        else:
+            height_variance = unknown
+    for error, value in ((Error.R_D, height_variance), (Error.V_D, NEW_VELOCITY_SIGMA**2),
                          (Error.PHI_N, UNKNOWN_TILT_SIGMA**2), (Error.PHI_E, UNKNOWN_TILT_SIGMA**2)):
         state = row_of(mem, error)
         if state >= 0:
