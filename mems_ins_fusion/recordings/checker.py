@@ -37,7 +37,7 @@ GAP = 2.5  # shortest gap between messages, in median intervals
 #: mean over median interval above which messages come in bursts: where single messages are lost, at most every second
 #: one, it is below 2
 BURST = 2.0
-FEWEST_BURSTS = 10  # fewer gaps than these are gaps. Chosen, not measured
+FEWEST_BURSTS = 10  # a recording with at most 10 gaps has gaps, not bursts. Chosen, not measured
 LONGEST_PAUSE = 1.0  # s between bursts: what is longer is a pause of the recording. Chosen, not measured
 _AXES = np.array(['x', 'y', 'z'])
 _STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertical is reported to point up
