@@ -80,8 +80,8 @@ def true_motion(config, memory, e):
 def across_the_road(config, memory, rate):
     """Sideways (and, strapdown, downward) velocity as a function of the error: zero for a land vehicle. And R.
 
-    Each is that in the direction of the motion, as far as its innovation is the noise of the gyroscope about the other
-    axis: what turns the vehicle's axes says nothing of the speed.
+    Each is that in the direction of the motion, sideways as far as its innovation is the noise of the gyroscope: what
+    turns the vehicle's axes says nothing of the speed.
     """
     k = first_velocity(config)[1]
 
@@ -91,12 +91,13 @@ def across_the_road(config, memory, rate):
     x = state_and_covariance(config, memory)[0]
     forward = motion(np.zeros(len(x)))[0]
     innovation = motion(np.zeros(len(x)))[1:] + central_difference(lambda e: motion(e)[1:], len(x), 1e-6) @ x
-    by_turn = (forward * DENSITY[[2, 1]]) ** 2
-    angles = by_turn / (by_turn + FORCE_DENSITY**2) * innovation / forward
+    by_turn = (forward * DENSITY[2]) ** 2
+    share = np.array([by_turn / (by_turn + FORCE_DENSITY**2), 1.0])[:k - 1]
+    angles = share * innovation[:k - 1] * forward / (forward**2 + SIDEWAYS_SIGMA**2)
 
     def measured(e):
         now = motion(e)
-        return (now[1:] - angles * (now[0] - forward))[:k - 1]
+        return now[1:k] - angles * (now[0] - forward)
     second = second_order_variance(config, state_and_covariance(config, memory)[1], attitude_of(config, memory))
     return measured, SIDEWAYS_SIGMA**2 * np.eye(k - 1) + second
 

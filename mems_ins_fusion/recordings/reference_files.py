@@ -45,7 +45,7 @@ def read_reference(path, datum=None) -> Reference:
     first = _first_line(path)
     if first.startswith('$'):
         fixes = read_nmea(path)
-        reference = Reference(fixes.stamp, fixes.latitude, fixes.longitude, fixes.height)
+        reference = Reference(fixes.stamp, fixes.latitude, fixes.longitude, np.nan_to_num(fixes.height))
     elif first.startswith('%') or path.suffix == '.pos':
         reference = _read_rtklib(path)
     elif path.suffix == '.tum' or _numbers_in(first) == 8:

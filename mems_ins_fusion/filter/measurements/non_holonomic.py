@@ -15,24 +15,16 @@ from ..trust.white_noise import density
 from ..update import product
 from .geometry import add_body_velocity, angular_rate, body_velocity, second_order, vehicle_to_level
 
-#: rad, largest angle by which a row is turned back: it is linear in it, and noise turns the axes by some hundredths of
-#: this between two constraints. Chosen, not measured
-LARGEST_ANGLE = 0.2
-
 
 @njit(_nrt=False)
-def _turn_back(mem, r, h, n, c, z, forward, force, turn):
-    """Turn the row of H at `h` back by what the noise of a gyroscope has turned its axis.
+def _turn_back(mem, r, h, n, c, z, forward, sigma, share):
+    """Turn the row of H at `h` back by what an error of the direction has turned its axis, which its innovation shows.
 
-    That shows in the innovation, of which it is the gyroscope's share of the white noise: its noise times the forward
-    velocity, m/s, beside that of the accelerometer along the axis. c: rotation from the vehicle's axes to n. z:
-    measurement, m/s. force, turn: noise density squared of the accelerometer, m^2/s^3, and of the gyroscope, rad^2/s.
+    c: rotation from the vehicle's axes to n. z, forward: measurement and forward velocity, m/s. sigma: of the
+    constraint, m/s; at speeds below it the row stays. share: of the innovation.
     """
-    by_turn = forward * forward * turn
-    if by_turn > 0.0:
-        innovation = z - product(mem, n, h, r + NAV)
-        angle = by_turn / (by_turn + force) * innovation / forward
-        add_body_velocity(mem, r, h, c, 0, -max(-LARGEST_ANGLE, min(angle, LARGEST_ANGLE)))
+    innovation = z - product(mem, n, h, r + NAV)
+    add_body_velocity(mem, r, h, c, 0, -share * innovation * forward / (forward * forward + sigma * sigma))
 
 
 @njit(_nrt=False)
@@ -41,11 +33,11 @@ def observe(mem, r, at, h, n, c, sample):
 
     Both are linearised at the estimate of the mounting, which may be any angle; `update` subtracts H times it from z.
 
-    The noise of a gyroscope turns the row of H and, times the speed, makes the innovation. A correction takes them for
-    independent, lowers the speed each time, and makes P smaller: with white noise of 0.2 rad/s an estimate of 26 m/s
-    became 0 within a minute, sigma 0.6 m/s. So the rows are turned back (`_turn_back`), by the noise of the sensors'
-    axes as they are mounted by the parameters; where all of the innovation is that noise, they are perpendicular to the
-    velocity.
+    An error of the direction turns the row of H and, times the speed, makes the innovation. A correction takes them for
+    independent, lowers the speed each time, and makes P smaller: with white noise of 0.2 rad/s of a gyroscope an
+    estimate of 26 m/s became 0 within a minute, sigma 0.6 m/s. So the rows are turned back (`_turn_back`): upwards by
+    all of the innovation; sideways by the share of the gyroscope in its white noise, beside that of the accelerometer,
+    as mounted by the parameters.
     """
     yaw, axle, pitch = int(mem[Head.MOUNTING_YAW]), int(mem[Head.AXLE]), int(mem[Head.MOUNTING_PITCH])
     w_x, w_y, w_z = angular_rate(mem, r, sample)
@@ -66,7 +58,9 @@ def observe(mem, r, at, h, n, c, sample):
     mem[at + Event.Z_N] = lateral
     if axle >= 0:
         mem[h + axle] = -w_z
-    _turn_back(mem, r, h, n, c, lateral, forward, density(mem, sample, 1), density(mem, sample, 5))
+    by_turn = forward * forward * density(mem, sample, 5)
+    share = by_turn / (by_turn + density(mem, sample, 1)) if by_turn > 0.0 else 0.0
+    _turn_back(mem, r, h, n, c, lateral, forward, mem[Head.LATERAL_SIGMA], share)
     angle = (mem[Head.ANGLE_SIGMA] * forward) ** 2
     mem[at + Event.R_NN] = (mem[Head.LATERAL_SIGMA] ** 2 + angle
                             + (mem[Head.SLIP_SIGMA] * acceleration * forward) ** 2
@@ -84,7 +78,7 @@ def observe(mem, r, at, h, n, c, sample):
     if pitch >= 0:
         mem[h + n + pitch] = -forward
         vertical -= forward * mem[r + NAV + pitch]
-    _turn_back(mem, r, h + n, n, c, vertical, forward, density(mem, sample, 2), density(mem, sample, 4))
+    _turn_back(mem, r, h + n, n, c, vertical, forward, mem[Head.VERTICAL_SIGMA], 1.0)
     mem[at + Event.Z_E] = vertical
     mem[at + Event.R_EE] = mem[Head.VERTICAL_SIGMA] ** 2 + angle + second_order(mem, n, c, 1, pitch)
     return 2
