@@ -18,7 +18,7 @@ from ..configuration.vehicle import standstills_show
 from ..errors import InputError
 from ..evaluation.comparison import aiding_of, fixes_apart, samples_to_keep
 from ..filter.config import FilterConfig
-from ..filter.measurements.position import NO_ALTITUDE_SIGMA
+from ..filter.measurements.position import is_without_altitude
 from ..filter.measurements.registry import aiding
 from ..filter.memory import PLANAR, Event, Kind, Verdict
 from ..filter.runs.replay import Constrained, run, run_with_constraints
@@ -363,7 +363,7 @@ def stated_covariances(fixes: Fixes, values: dict) -> np.ndarray:
 def with_covariances(fixes: Fixes, claimed: np.ndarray, x: float, outlying: np.ndarray) -> Fixes:
     """`fixes` with the covariances `claimed` times exp(2 x), plus FLOOR^2; those `outlying` (f,) are marked invalid."""
     covariance = np.exp(2 * x) * claimed + FLOOR**2 * np.eye(3)
-    without = claimed[:, 2, 2] >= NO_ALTITUDE_SIGMA**2
+    without = is_without_altitude(claimed[:, 2, 2])
     covariance[without, 2, 2] = claimed[without, 2, 2]
     return replace(fixes, covariance=covariance, covariance_type=np.full(len(fixes), 3, dtype=np.uint8),
                    status=np.where(outlying, np.int8(-1), fixes.status))

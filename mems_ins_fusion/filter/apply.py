@@ -94,8 +94,8 @@ def _apply_fix(mem, r, at):
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
     if verdict != Verdict.REFUSED or crept:
         end_update(mem, r)
-        has_altitude = mem[at + Event.R_DD] < position.NO_ALTITUDE_SIGMA**2
-        if row_of(mem, Error.R_D) < 0 and verdict != Verdict.REFUSED and has_altitude:
+        without_altitude = position.is_without_altitude(mem[at + Event.R_DD])
+        if row_of(mem, Error.R_D) < 0 and verdict != Verdict.REFUSED and not without_altitude:
             mem[r + Nav.HEIGHT] = height
         set_radii(mem, r)
     creep.note_correction(mem, r, mem[at + Event.WEIGHT] * known / (known + variance))

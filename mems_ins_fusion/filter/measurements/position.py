@@ -101,9 +101,15 @@ def without_altitude(height: np.ndarray, covariance: np.ndarray) -> None:
     covariance[missing, 2, 2] = NO_ALTITUDE_SIGMA**2
 
 
+@register_jitable
+def is_without_altitude(variance):
+    """Whether a fix with this variance of its height, m^2, has no altitude. Of numbers or of arrays."""
+    return variance >= NO_ALTITUDE_SIGMA**2
+
+
 def has_altitude(fixes) -> np.ndarray:
     """(n,) which of `fixes` came with an altitude."""
-    return ~(fixes.covariance[:, 2, 2] >= NO_ALTITUDE_SIGMA**2)
+    return ~is_without_altitude(fixes.covariance[:, 2, 2])
 
 
 @register_jitable
@@ -149,7 +155,7 @@ def _write(events, kind, latitude, longitude, height, status, covariance, kinds,
         if sigma > 0.0:
             r[Event.R_NN], r[Event.R_NE], r[Event.R_EE] = sigma**2, 0.0, sigma**2
             r[Event.R_DD] = max(r[Event.R_DD], sigma**2)
-        if uu >= NO_ALTITUDE_SIGMA**2:
+        if is_without_altitude(uu):
             r[Event.R_DD] = uu
     return say
 

@@ -10,7 +10,7 @@ import numpy as np
 from ...navigation.earth import radii, to_local
 from ...navigation.frames import near, wrap, yaw_from_enu, yaw_of_quaternion
 from ..config import FilterConfig
-from ..measurements.position import NO_ALTITUDE_SIGMA
+from ..measurements.position import is_without_altitude
 from ..memory import Event, Kind
 from ..prediction import UNKNOWN_YAW_SIGMA
 from ..trust.receiver import SHORTEST_PAIR
@@ -149,7 +149,7 @@ class Alignment:
         one."""
         before = self.waiting_for
         covariance = np.array([[event[Event.R_NN], event[Event.R_NE]], [event[Event.R_NE], event[Event.R_EE]]])
-        self._has_height = event[Event.R_DD] < NO_ALTITUDE_SIGMA**2
+        self._has_height = not is_without_altitude(event[Event.R_DD])
         start = self.add_fix(event[Event.TIME], event[Event.LATITUDE], event[Event.LONGITUDE],
                              event[Event.HEIGHT], covariance)
         if start is not None:

@@ -11,7 +11,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..history import forget
 from ..measurements.geometry import set_heading
-from ..measurements.position import NO_ALTITUDE_SIGMA
+from ..measurements.position import NO_ALTITUDE_SIGMA, is_without_altitude
 from ..memory import NAV, Error, Event, Head, Nav, Verdict, row_of, velocity_state, yaw_state
 from ..prediction import GAP_ACCELERATION, UNKNOWN_TILT_SIGMA, UNKNOWN_YAW_SIGMA
 from ..update import scratch_of
@@ -159,13 +159,13 @@ def start_anew(mem, r, at):
     first = velocity_state(mem)
     for i in range(2):
         mem[p + (n + 1) * (first + i)] = drift
-    unknown, height_variance = NO_ALTITUDE_SIGMA**2, 4.0 * variance
+    height_variance = 4.0 * variance
     if row_of(mem, Error.R_D) >= 0:
         mem[r + Nav.V_D] = 0.0
-        if mem[at + Event.R_DD] < unknown:
-            mem[r + Nav.HEIGHT] = mem[at + Event.HEIGHT]
+        if is_without_altitude(mem[at + Event.R_DD]):
+            height_variance = NO_ALTITUDE_SIGMA**2
         else:
-            height_variance = unknown
+            mem[r + Nav.HEIGHT] = mem[at + Event.HEIGHT]
     for error, value in ((Error.R_D, height_variance), (Error.V_D, NEW_VELOCITY_SIGMA**2),
                          (Error.PHI_N, UNKNOWN_TILT_SIGMA**2), (Error.PHI_E, UNKNOWN_TILT_SIGMA**2)):
         state = row_of(mem, error)
