@@ -3,10 +3,11 @@
     python studies/imperfect_drives.py [--first-seed 5001] [--count 20] [--vehicle KIND] [--set NAME=VALUE ...]
                                        [--output FILE.md]
 
-A seed chooses the vehicle (car, motorway, motorcycle, truck, robot of 0.4 m/s), its road, body and vibration, the rate
-and grade of the IMU, its mounting within 4 degrees, scale factor errors of 1 %, and a receiver: rate, scatter, errors
-that last, smoothing, outliers, drop-outs, stamps that are late, a lever arm of up to 1.5 m, a claimed sigma that is
-right, too small, too large or missing. Parameters are at their defaults.
+A seed chooses the vehicle (car, motorway, motorcycle, truck, robot of 0.4 m/s; with --vehicle also a tractor or a bus
+with the IMU on the roof), its road, body and vibration, the rate and grade of the IMU, its mounting within 4 degrees,
+scale factor errors of 1 %, and a receiver: rate, scatter, errors that last, smoothing, outliers, drop-outs, stamps that
+are late, a lever arm of up to 1.5 m, a claimed sigma that is right, too small, too large or missing. Parameters are at
+their defaults.
 
 With fixes the filter is held against the fixes themselves, without them for 10, 30 and 60 s against going straight on
 (never_worse.py). `at rest`: seconds for which the filter stands while the vehicle moves. The last line has geometric
@@ -30,14 +31,28 @@ from mems_ins_fusion.filter.runs.replay import Aiding, run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.manoeuvres import CITY, MIXED, SLOW
+from mems_ins_fusion.simulation.manoeuvres import CITY, MIXED, SLOW, Segment
 from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
 from mems_ins_fusion.simulation.vibration import Vibration
 
 VEHICLES = {'car': MIXED, 'motorway': (_motorway,), 'motorcycle': MIXED, 'truck': MIXED, 'robot': SLOW, 'city': CITY}
+
+
+def _rows(speed, rng):
+    """Up and down a field at 3 m/s."""
+    return [Segment(max(abs(speed - 3.0), 0.5), 3.0 - speed), Segment(60.0), Segment(3.0, -1.5),
+            Segment(8.0, 0.0, rng.choice([-1, 1]) * np.pi), Segment(3.0, 1.5)]
+
+
+#: with --vehicle only: the IMU is on the roof
+ON_THE_ROOF = {'tractor': (_rows,), 'bus': CITY}
 #: m, from the middle of the rear axle forward to the IMU
-AXLE = {'truck': 5.0, 'robot': 0.2}
+AXLE = {'truck': 5.0, 'robot': 0.2, 'tractor': 0.5, 'bus': 7.0}
+#: m, height of that roof above the axle
+ROOF = 2.5
+#: rad, by which a field rolls and pitches a vehicle at 10 m/s, RMS: a third of it at 3 m/s
+FIELD = np.radians(6.0)
 #: s
 DURATION, SETTLED, OUTAGES, SPACING = 420.0, 30.0, (10.0, 30.0, 60.0), 45.0
 #: 95 % quantile of chi-square with two degrees of freedom
@@ -53,10 +68,13 @@ def imperfect(seed: int, vehicle: str | None = None) -> tuple[Recording, str]:
     lean = -0.1 if kind == 'motorcycle' else np.radians(rng.uniform(0.1, 0.8))
     drive = simulate_drive(
         DURATION, seed, rate, standstill=rng.uniform(10.0, 60.0), grade=rng.uniform(0.0, 0.06), bank=0.02,
-        parked_on_slope=True, manoeuvres=VEHICLES[kind], rotating_earth=True, suspension=1.2,
+        parked_on_slope=True, manoeuvres={**VEHICLES, **ON_THE_ROOF}[kind], rotating_earth=True, suspension=1.2,
         pitch_per_acceleration=np.radians(rng.uniform(0.1, 0.6)), roll_per_acceleration=lean,
         sideslip_per_acceleration=rng.uniform(0.0, 0.006), unevenness=np.radians(rng.uniform(0.0, 0.4)),
         axle_to_imu=(AXLE.get(kind, rng.uniform(-0.5, 2.0)), rng.uniform(-0.4, 0.4), -rng.uniform(0.0, 1.0)))
+    if kind in ON_THE_ROOF:
+        uneven = FIELD if kind == 'tractor' else drive.path.unevenness
+        drive = drive.altered(unevenness=uneven, axle_to_imu=(*drive.path.axle_to_imu[:2], -ROOF))
     grade = 10.0 ** rng.uniform(-0.5, 0.8)
     imu = {name: [grade * value for value in values] if not name.endswith('tau') else values
            for name, values in REALISTIC.imu.items()}
@@ -142,7 +160,7 @@ def main() -> None:
     add = parser.add_argument
     add('--first-seed', type=int, default=5001)
     add('--count', type=int, default=20)
-    add('--vehicle', choices=VEHICLES)
+    add('--vehicle', choices=[*VEHICLES, *ON_THE_ROOF])
     add('--set', nargs='+', default=[], metavar='NAME=VALUE', help='parameters')
     add('--output', type=Path)
     options = parser.parse_args()

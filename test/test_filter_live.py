@@ -178,7 +178,7 @@ def test_live_and_replay_give_the_same_bits_with_all_that_can_be_measured(drive,
     assert np.array_equal(replayed.sigma[at], np.array([p[5:-1] for p in published]))
     first = NAV + config.layout.n_navigation + config.layout.n_sensor
     extras = np.array([p[-1][first:first + len(config.extras)] for p in published])
-    assert len(config.extras) == (10 if mechanization == 'planar' else 11)
+    assert len(config.extras) == (10 if mechanization == 'planar' else 12)
     assert np.array_equal(replayed.extras[at], extras)
     assert np.array_equal(newest(replayed.memory), published[-1][-1])
     # and each of them has been used

@@ -16,7 +16,7 @@ from ..sensor_errors.models import MODELS, GaussMarkov, Model, RandomWalk, per_a
 from .bank import Bank
 from .history import history_size
 from .measurements import wheel_vibration
-from .measurements.base import Measurement, SensorSettings
+from .measurements.base import SHORTER, Measurement, SensorSettings
 from .measurements.registry import aiding, inputs
 from .memory import (
     BY_NAME,
@@ -340,7 +340,7 @@ class FilterConfig:
             Head.EVENT_CAPACITY: self.event_capacity,
             Head.COLOURED: layout.index('coloured_n'), Head.MOUNTING_PITCH: layout.index('mounting_pitch'),
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
-            Head.AXLE_ACROSS: layout.index('axle_y'),
+            Head.AXLE_ACROSS: layout.index('axle_y'), Head.AXLE_BELOW: layout.index('axle_z'),
             Head.INTERVAL: self.models[0].interval or 0.0, Head.INTERVAL + 1: self.models[-1].interval or 0.0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,
             Head.GATE: gnss.gate, Head.ROBUST_SIGMA: values['gnss.robust_sigma'],
@@ -420,6 +420,8 @@ def _extras(values: dict, is_level: bool) -> tuple[Extra, ...]:
             slow('mounting_pitch', values['imu.mounting_sigma'])
         slow('mounting_yaw', values['imu.mounting_sigma'])
         slow('axle_x', values['vehicle.rear_axle_sigma'])
+        if not is_level:
+            slow('axle_z', SHORTER * values['vehicle.rear_axle_sigma'])
     slow('time_offset', values['gnss.time_offset_sigma'], values['gnss.time_offset_walk'])
     for measurement in aiding(values):
         if values[measurement.topic]:

@@ -356,7 +356,8 @@ class _Head(NamedTuple):
     CONDITIONING: int = column(36)  # 6 x 6, by columns: body-axis sample = matrix (raw sample) + offset
     OFFSET: int = column(6)
     HISTORY_AT: int = column()  # first position of the smoother's history, see history.py; 0: none
-    AXLE_ACROSS: int = column()  # index of the optional state axle_y
+    AXLE_ACROSS: int = column()  # indices of the optional states axle_y
+    AXLE_BELOW: int = column()  # and axle_z
     COVARIANCE_FACTOR: int = column()  # whether the published covariance has the factor Nav.VARIANCE_FACTOR
     FORGOTTEN: int = column()  # time of the newest measurement that was dropped: the filter cannot return before it
     ROWS: int = column(9)  # `StateLayout.rows`

@@ -11,7 +11,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..memory import NAV, Error, Event, Head, Sample, row_of
-from ..trust.white_noise import density
+from ..trust.white_noise import COMPARED_OVER, density
 from ..update import product
 from .geometry import add_body_velocity, angular_rate, body_velocity, second_order, vehicle_to_level
 
@@ -28,6 +28,21 @@ def _turn_back(mem, r, h, n, c, z, forward, sigma, share):
 
 
 @njit(_nrt=False)
+def _share_of_direction(mem, sample, axis, forward, ahead, aside, noise):
+    """Share of an error of the direction in the white noise of an innovation.
+
+    axis: gyroscope that shows how the direction turns, 4 or 5. forward: velocity, m/s. ahead: of the axle, m. aside:
+    its coordinate along the axis of that gyroscope, m. noise: density squared of the accelerometer along the
+    constraint, m^2/s^3. The error of a direction and that of a velocity grow with time, here COMPARED_OVER; the turn
+    rates of this sample times the place of the axle are noise of this sample alone.
+    """
+    turns = density(mem, sample, axis)
+    direction = COMPARED_OVER * forward * forward * turns
+    place = (ahead * ahead * turns + aside * aside * density(mem, sample, 3)) / mem[sample + Sample.INTERVAL]
+    return direction / (direction + COMPARED_OVER * noise + place) if direction > 0.0 else 0.0
+
+
+@njit(_nrt=False)
 def observe(mem, r, at, h, n, c, sample):
     """Velocity at the axle to the right, and (strapdown) down, vehicle's axes. Returns the number of components.
 
@@ -35,11 +50,11 @@ def observe(mem, r, at, h, n, c, sample):
 
     An error of the direction turns the row of H and, times the speed, makes the innovation. A correction takes them for
     independent, lowers the speed each time, and makes P smaller: with white noise of 0.2 rad/s of a gyroscope an
-    estimate of 26 m/s became 0 within a minute, sigma 0.6 m/s. So the rows are turned back (`_turn_back`): upwards by
-    all of the innovation; sideways by the share of the gyroscope in its white noise, beside that of the accelerometer,
-    as mounted by the parameters.
+    estimate of 26 m/s became 0 within a minute, sigma 0.6 m/s. So the rows are turned back (`_turn_back`), by the
+    share of the direction in the innovation (`_share_of_direction`), in the axes of the parameters' mounting.
     """
-    yaw, axle, pitch = int(mem[Head.MOUNTING_YAW]), int(mem[Head.AXLE]), int(mem[Head.MOUNTING_PITCH])
+    yaw, pitch = int(mem[Head.MOUNTING_YAW]), int(mem[Head.MOUNTING_PITCH])
+    axle, across, below = int(mem[Head.AXLE]), int(mem[Head.AXLE_ACROSS]), int(mem[Head.AXLE_BELOW])
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     acceleration = mem[sample + Sample.F_Y]
     turn = mem[r + NAV + yaw] if yaw >= 0 else 0.0
@@ -56,10 +71,14 @@ def observe(mem, r, at, h, n, c, sample):
         mem[h + yaw] = forward
         lateral += forward * turn
     mem[at + Event.Z_N] = lateral
+    x, y, z = mem[Head.AXLE_X], mem[Head.AXLE_Y], mem[Head.AXLE_Z]
     if axle >= 0:
         mem[h + axle] = -w_z
-    by_turn = forward * forward * density(mem, sample, 5)
-    share = by_turn / (by_turn + density(mem, sample, 1)) if by_turn > 0.0 else 0.0
+        x += mem[r + NAV + axle]
+    if below >= 0:
+        mem[h + below] = w_x
+        z += mem[r + NAV + below]
+    share = _share_of_direction(mem, sample, 5, forward, x, z, density(mem, sample, 1))
     _turn_back(mem, r, h, n, c, lateral, forward, mem[Head.LATERAL_SIGMA], share)
     angle = (mem[Head.ANGLE_SIGMA] * forward) ** 2
     mem[at + Event.R_NN] = (mem[Head.LATERAL_SIGMA] ** 2 + angle
@@ -70,15 +89,16 @@ def observe(mem, r, at, h, n, c, sample):
         return 1
     vertical = body_velocity(mem, r, c, 2) + w_x * mem[Head.AXLE_Y] - w_y * mem[Head.AXLE_X]
     add_body_velocity(mem, r, h + n, c, 2, 1.0)
-    across = int(mem[Head.AXLE_ACROSS])
     if axle >= 0:
         mem[h + n + axle] = w_y
     if across >= 0:
         mem[h + n + across] = -w_x
+        y += mem[r + NAV + across]
     if pitch >= 0:
         mem[h + n + pitch] = -forward
         vertical -= forward * mem[r + NAV + pitch]
-    _turn_back(mem, r, h + n, n, c, vertical, forward, mem[Head.VERTICAL_SIGMA], 1.0)
+    share = _share_of_direction(mem, sample, 4, forward, x, y, density(mem, sample, 2))
+    _turn_back(mem, r, h + n, n, c, vertical, forward, mem[Head.VERTICAL_SIGMA], share)
     mem[at + Event.Z_E] = vertical
     mem[at + Event.R_EE] = mem[Head.VERTICAL_SIGMA] ** 2 + angle + second_order(mem, n, c, 1, pitch)
     return 2

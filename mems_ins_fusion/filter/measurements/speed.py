@@ -27,13 +27,15 @@ def observe(mem, r, at, h, n, c, sample):
     add_body_velocity(mem, r, h, c, 0, 1.0)
     mem[at + Event.Z_N] = body_velocity(mem, r, c, 0) + w_y * z - w_z * y - behind
     add_time_offset(mem, at, h, along(acceleration(mem, r), c, 0))
-    across, gyroscope = int(mem[Head.AXLE_ACROSS]), channel_of(mem, 5)
+    across, below, gyroscope = int(mem[Head.AXLE_ACROSS]), int(mem[Head.AXLE_BELOW]), channel_of(mem, 5)
     scale = int(mem[at + Event.STATE])
     if scale >= 0:
         mem[h + scale] = -mem[at + Event.Z_N]
     if mem[at + Event.AT_AXLE] != 0.0:
         if across >= 0:
             mem[h + across] = w_z
+        if below >= 0:
+            mem[h + below] = -w_y
     elif gyroscope >= 0:  # with a lateral arm the speed contains the turn rate; `update` subtracts H times the estimate
         mem[h + gyroscope] = -y
         mem[at + Event.Z_N] -= y * mem[r + NAV + gyroscope]

@@ -38,9 +38,13 @@ def observe(mem, r, at, h, n, c, sample):
     mem[at + Event.Z_N] = forward - mem[at + Event.VALUE]
     add_time_offset(mem, at, h, along(acceleration(mem, r), c, 0))
     add_body_velocity(mem, r, h, c, 0, 1.0)
-    across = int(mem[Head.AXLE_ACROSS])
-    if across >= 0 and mem[at + Event.AT_AXLE] != 0.0:
+    axle, across, below = int(mem[Head.AXLE]), int(mem[Head.AXLE_ACROSS]), int(mem[Head.AXLE_BELOW])
+    if mem[at + Event.AT_AXLE] == 0.0:
+        axle = across = below = -1
+    if across >= 0:
         mem[h + across] = w_z
+    if below >= 0:
+        mem[h + below] = -w_y
     if scale >= 0:
         mem[h + scale] = -forward
     mem[at + Event.Z_E] = mem[at + Event.Z_D] = 0.0
@@ -50,9 +54,10 @@ def observe(mem, r, at, h, n, c, sample):
         if scale >= 0:
             mem[h + n + scale] = -right
             mem[h + n + scale + 2] = -forward
-        axle = int(mem[Head.AXLE])
-        if axle >= 0 and mem[at + Event.AT_AXLE] != 0.0:
+        if axle >= 0:
             mem[h + n + axle] = -w_z
+        if below >= 0:
+            mem[h + n + below] = w_x
     if gyroscope >= 0 and not math.isnan(mem[at + Event.VALUE + 2]):
         turn_scale = mem[r + NAV + scale + 1] if scale >= 0 else 0.0
         # measured = (1 + scale) (gyroscope reading - its error), linearised at the estimates of both, as both may be
