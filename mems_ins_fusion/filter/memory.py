@@ -81,12 +81,12 @@ class _Nav(NamedTuple):
 
 
 Nav = _Nav()
-NAV = Nav.SIZE
+NAV = Nav.SIZE  # columns before the estimated errors in a row
 #: columns of a state that other files declare; a return to an earlier state restores them with the state
 ROW = Part('a state', Nav.MECHANISMS, Nav.SIZE)
 #: numbers of the mechanizations: planar (north, east, heading), and in three dimensions
 PLANAR, STRAPDOWN = 0, 1
-MECHANIZATIONS = {PLANAR: planar, STRAPDOWN: strapdown}
+MECHANIZATIONS = {PLANAR: planar, STRAPDOWN: strapdown}  # and their modules
 BY_NAME = {'planar': PLANAR, 'strapdown': STRAPDOWN}  # as the parameter `mechanization` has it
 
 

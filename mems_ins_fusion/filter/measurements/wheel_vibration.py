@@ -63,10 +63,10 @@ SLOWEST = 4.0  # m/s: below this speed the lines of the wheels lie among those o
 FASTEST_TURN = 0.1  # rad/s: above this turn rate the wheels of the two sides have different speeds, and lines split
 TURN_LOW_PASS = 0.5  # s, time constant of the low pass of the turn rate
 HARMONICS = 4  # multiples of the revolution that are looked at
-CHANNELS = AXES * HARMONICS
+CHANNELS = AXES * HARMONICS  # number of powers that are looked at in each window
 LOG_STEP = 0.003  # step of the grid of x: at 40 m/s a line of the third harmonic is 0.5 % wide
 HALF = 85  # grid points to either side of x = 0
-GRID = 2 * HALF + 1
+GRID = 2 * HALF + 1  # number of grid points of x
 MIDDLE = 1.94  # m, geometric mean of the circumferences searched, 1.5 to 2.5: cars and vans
 HIGHEST_FREQUENCY = HARMONICS / MIDDLE * math.exp(LOG_STEP * HALF)  # highest frequency looked at, cycles per metre
 NO_POWER = -99.0  # power of a grid point beyond the spectrum
@@ -104,7 +104,7 @@ WITHOUT_FIX = 3.0  # s after the last fix used from which there are no fixes
 RELATIVE_SPEED_SIGMA = 0.03
 SPEED_STEP = 0.05  # m/s, step of the grid of the error of the filter's speed
 SPEED_HALF = 80  # grid points to either side of zero
-SPEEDS = 2 * SPEED_HALF + 1
+SPEEDS = 2 * SPEED_HALF + 1  # number of grid points of that error
 #: m/s, standard deviation of the filter's speed above which no speed is reported: half of the grid
 LARGEST_SPEED_SIGMA = 2.0
 DENSITY_FLOOR = 1e-12  # added to each point of the density: no speed is impossible

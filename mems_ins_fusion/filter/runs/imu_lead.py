@@ -20,7 +20,7 @@ from .imu_memory import ALONE, KEPT_SAMPLES, LEADS, NOISY, compare_anew, keep, p
 SILENT_UNCOMPARED = 5.0
 #: code of a sample that is not finite
 NOT_FINITE = Fault.SIZE
-REASONS = (*FAULTS, 'not a number')
+REASONS = (*FAULTS, 'not a number')  # in words, by the code of the fault
 
 
 @njit

@@ -30,7 +30,7 @@ from .snapshot import saved_at_jump
 from .vehicle_check import found_time_offsets, vehicle_warnings
 from .withheld import Withheld
 
-_NOTHING = np.empty((0, Event.SIZE))
+_NOTHING = np.empty((0, Event.SIZE))  # no measurements
 
 
 @dataclass(frozen=True)
