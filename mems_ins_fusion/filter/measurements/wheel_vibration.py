@@ -218,7 +218,7 @@ def listen(mem, k):
     """Add sample k to the current row, and process the window if one ends here."""
     at, sample, r = int(mem[Wheels.AT]), nonnegative(sample_at(mem, k)), nonnegative(state_at(mem, k))
     dt, time = mem[sample + Sample.INTERVAL], mem[sample + Sample.TIME]
-    speed = speed_of(mem, r)
+    speed = _speed_of(mem, r)
     mem[at + Lines.ELAPSED] += dt
     mem[at + Lines.TURN] += min(dt / TURN_LOW_PASS, 1.0) * (angular_rate(mem, r, sample)[2] - mem[at + Lines.TURN])
     if speed < SLOWEST or abs(mem[at + Lines.TURN]) > FASTEST_TURN or dt > mem[Head.MAX_GAP] or (
@@ -253,7 +253,7 @@ def _append_row(mem, at):
 
 
 @njit(_nrt=False)
-def speed_of(mem, r):
+def _speed_of(mem, r):
     """Speed of the state at r, m/s, corrected by its estimated error."""
     total = 0.0
     for i in range(3):
@@ -264,7 +264,7 @@ def speed_of(mem, r):
 
 
 @njit(_nrt=False)
-def along_variance(mem, r):
+def _along_variance(mem, r):
     """Variance of the speed over ground of the state at r, m^2/s^2."""
     v = velocity_state(mem)
     v_n, v_e = mem[r + Nav.V_N], mem[r + Nav.V_E]
@@ -277,7 +277,7 @@ def along_variance(mem, r):
 def _process_window(mem, at, r, sample, speed):
     """Process the window that ends at the state at r."""
     time, way, last = look(mem, at + Lines.SPECTRUM, HIGHEST_FREQUENCY)
-    mean, filtered, now = way / time, along_variance(mem, r), mem[sample + Sample.TIME]
+    mean, filtered, now = way / time, _along_variance(mem, r), mem[sample + Sample.TIME]
     fixes_come = now - mem[r + Nav.RESIDUAL_TIME] < WITHOUT_FIX
     in_a_row, mem[at + Lines.LAST] = now - mem[at + Lines.LAST] < 1.5 * HOP, now
     learns = fixes_come and filtered < (RELATIVE_SPEED_SIGMA * mean) ** 2
