@@ -97,7 +97,7 @@ def input_event(config: FilterConfig, time, kind) -> np.ndarray:
 
 
 def statistics_at(config: FilterConfig, kind: int) -> int:
-    """Column of a row from which on the filter has its statistics (`trust.scale.Seen`) of the unnamed input."""
+    """Column of a row from which on the filter has its statistics (`memory.INPUT`) of the unnamed input."""
     return row_width(config.layout) - INPUT_SIZE * int(config.of_input(kind)[0])
 
 

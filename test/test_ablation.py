@@ -40,9 +40,17 @@ for prior in 4.0, 1.0, 4.0:
 
 
 def test_what_is_compared_with_the_filter_as_it_is():
-    assert said("""
+    # given a change that moves nothing, one that doubles one of two calm rows and a chaotic one, and one that ends in a
+    # division by zero
+    lines = said("""
 from ablation import summary
-rows = [{'change': c, 'row': 'r', 'rate_hz': '1.0', 'error_m': e, 'within_95_percent': '95'}
-        for c, e in (('as it is', '5.0'), ('a x 4', '5.01'), ('b x 4', '7.0'))]
-print(summary(rows)[-1].replace(' ', '_'), len(summary(rows)))
-""") == ['move_nothing:_a_x_4', '2']
+rows = [{'change': c, 'row': r, 'rate_hz': rate, 'error_m': e, 'within_95_percent': w} for c, r, rate, e, w in (
+    ('as it is', 'r', '1', '5.0', '95'), ('as it is', 'r', '10', '4.0', '95'), ('as it is', 'boat', '1', '2.0', '95'),
+    ('a x 4', 'r', '1', '5.01', '95'), ('a x 4', 'r', '10', '4.0', '95'), ('a x 4', 'boat', '1', '2.0', '95'),
+    ('b x 4', 'r', '1', '10.0', '93'), ('b x 4', 'r', '10', '4.0', '95'), ('b x 4', 'boat', '1', '900.0', '95'),
+    ('c x 4', 'as it is', '0', 'inf', '0'))]
+print('|'.join(summary(rows)).replace(' ', '_'))
+""")[0].split('|')
+    # then the mean is that of the calm rows
+    assert lines[0].endswith(';_2_at_1_Hz,_0_at_10_Hz;_mean_+41.4_%,_in_the_ellipse_-1.00_%')
+    assert lines[1:] == ['move_nothing:_a_x_4', 'impossible_(division_by_zero):_c_x_4']

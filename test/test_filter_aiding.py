@@ -29,7 +29,8 @@ from mems_ins_fusion.filter.advance import TAKEN
 from mems_ins_fusion.filter.measurements.time_offset import AVERAGED
 from mems_ins_fusion.filter.memory import INPUT_SIZE, NAV, PLANAR, Event, Head, Kind, Nav, Verdict, views
 from mems_ins_fusion.filter.trust import displacement
-from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, Seen, scale
+from mems_ins_fusion.filter.trust.displacement import Integral
+from mems_ins_fusion.filter.trust.scale import PRIOR, Noise, Scale, scale
 
 DT = 0.01
 FLU = np.array([1.0, -1.0, -1.0])
@@ -182,7 +183,8 @@ SENSORS = {Kind.SPEED: ('speed', [0.04]), Kind.VELOCITY: ('antenna_velocity', [0
 def one_deviation_tells_nothing_new(config, memory):
     """Scales are known and about 1, ways have been compared with those of fixes, the last message was long ago."""
     seen = views(memory)[2][0][-INPUT_SIZE * config.layout.inputs:].reshape(-1, INPUT_SIZE)
-    seen[:, [Scale.LOG, Scale.REDUCED, Scale.TIME, Seen.COMPARED]] = -0.05, PRIOR, DT - 10.0, 1.0
+    seen[:, [Noise.SCALE + Scale.LOG, Noise.SCALE + Scale.REDUCED, Noise.SCALE + Scale.TIME, Integral.COMPARED]] = (
+        -0.05, PRIOR, DT - 10.0, 1.0)
 
 
 @EACH
@@ -347,7 +349,7 @@ def test_speeds_and_velocities_bring_back_a_filter_that_is_sure_of_a_wrong_veloc
 
 def test_headings_that_fit_leave_their_scale_as_it_is():
     config, memory = through(Kind.HEADING, 0.7, 0.03**2, 60.0)
-    assert scale(newest(memory), statistics_at(config, Kind.HEADING)) <= 1.0
+    assert scale(newest(memory), statistics_at(config, Kind.HEADING) + Noise.SCALE) <= 1.0
     assert math.sqrt(state_and_covariance(config, memory)[1][4, 4]) < 0.02
 
 
@@ -359,4 +361,4 @@ def test_a_wheel_speed_in_kilometres_an_hour_does_not_move_a_velocity_that_fixes
     # and it is seen how far off it is: 26 of 10 m/s
     seen = statistics_at(config, Kind.SPEED)
     assert displacement.differs(row, seen, Kind.SPEED, displacement.TOLERATED_SHARE)
-    assert row[seen + Seen.SHARE] == pytest.approx(2.6, abs=0.1)
+    assert row[seen + Integral.SHARE] == pytest.approx(2.6, abs=0.1)

@@ -10,9 +10,13 @@ from filter_support import configure, newest, started
 
 from mems_ins_fusion.filter.columns import Part
 from mems_ins_fusion.filter.memory import (
+    HEAD,
+    INPUT,
     INPUT_SIZE,
     NAV,
     PLANAR,
+    ROW,
+    SAMPLE,
     STRAPDOWN,
     StateLayout,
     covariance,
@@ -37,6 +41,11 @@ def test_a_part_that_is_full_says_who_found_no_room():
     part.place('First', A=2)
     with pytest.raises(IndexError, match='a part: no room for Second, 1 floats too few'):
         part.place('Second', A=2)
+
+
+@pytest.mark.parametrize('part', [ROW, HEAD, SAMPLE, INPUT], ids=lambda part: part.name)
+def test_the_files_of_the_filter_need_all_the_room_that_is_there(part):
+    assert part.next == part.end
 
 
 @pytest.mark.parametrize('module', ['trust.drift', 'trust.lag', 'memory', 'runs.live'])

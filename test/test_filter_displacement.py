@@ -10,10 +10,11 @@ from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.memory import Event, Head, Kind, Nav, Verdict
+from mems_ins_fusion.filter.memory import INPUT_SIZE, Event, Head, Kind, Nav, Verdict
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
 from mems_ins_fusion.filter.trust import displacement, inputs
-from mems_ins_fusion.filter.trust.scale import Seen
+from mems_ins_fusion.filter.trust.displacement import Integral
+from mems_ins_fusion.filter.trust.inputs import Fit
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Aiding
@@ -122,9 +123,9 @@ def test_wheels_that_have_slipped_for_long_are_used_again_within_two_seconds():
 def test_one_that_was_wrong_is_right_again_after_a_second_in_which_an_error_shows(v, sigma, innovation, again):
     # given a speed that was wrong until 100 s; a vehicle that goes v m/s, or stands, where a speed in any unit fits
     mem, r, at = np.zeros(3000), 1000, 2800
-    own = r + 1500 - Seen.SIZE
+    own = r + 1500 - INPUT_SIZE
     mem[Head.WIDTH], mem[at + Event.KIND], mem[at + Event.INPUT], mem[at + Event.STATE] = 1500, Kind.SPEED, 1, -1
-    mem[own + Seen.COMPARED], mem[own + Seen.FITTED], mem[r + Nav.V_N] = -1.0, -100.0, v
+    mem[own + Integral.COMPARED], mem[own + Fit.TIME], mem[r + Nav.V_N] = -1.0, -100.0, v
     found = None
     for time in 100.0 + 0.25 * np.arange(1, 20):
         mem[at + Event.TIME] = time
@@ -351,8 +352,8 @@ def test_it_is_used_again_when_its_ways_fit():
 
 def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
     # given ways that are 4 % too long and turned by 0.1 rad, in all directions, and the real equations written down
-    rng, mem = np.random.default_rng(1), np.zeros(Seen.SIZE)
-    mem[Seen.DISPLACEMENT_TIME] = 60.0
+    rng, mem = np.random.default_rng(1), np.zeros(INPUT_SIZE)
+    mem[Integral.TIME] = 60.0
     displacement._begin(mem, 0, 2.0)
     # distance north and east, share
     x, p = np.zeros(4), np.diag([2.0, 2.0, displacement.SHARE_PRIOR, displacement.SHARE_PRIOR])
@@ -363,7 +364,7 @@ def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
         way_of_input = (1.04 + 0.1j) * gone
         off = off + [(way_of_input - gone).real, (way_of_input - gone).imag]
         measured = off + rng.normal(0.0, np.sqrt(2.0), 2)
-        mem[Seen.TRAVELLED:Seen.TRAVELLED + 2] = gone.real, gone.imag
+        mem[Integral.TRAVELLED:Integral.TRAVELLED + 2] = gone.real, gone.imag
         assert displacement.learn(mem, 0, way_of_input, way_of_input - complex(*(measured - last)), 0.05, 2.0)
         last = measured
         f = np.eye(4)
@@ -374,11 +375,11 @@ def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
         x, p = f @ x, f @ wandered @ f.T + np.diag([0.05, 0.05, 0.0, 0.0])
         gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + 2.0 * np.eye(2))
         x, p = x + gain @ (measured - h @ x), p - gain @ h @ p
-        np.testing.assert_allclose(mem[Seen.SHARE:Seen.SHARE + 2], x[2:], atol=1e-9)
-        np.testing.assert_allclose([mem[Seen.DISTANCE_VARIANCE], displacement.SHARE_PRIOR - mem[Seen.REDUCED]],
+        np.testing.assert_allclose(mem[Integral.SHARE:Integral.SHARE + 2], x[2:], atol=1e-9)
+        np.testing.assert_allclose([mem[Integral.DISTANCE_VARIANCE], displacement.SHARE_PRIOR - mem[Integral.REDUCED]],
                                    p[[0, 2], [0, 2]])
     assert displacement.is_compared(mem, 0)
-    np.testing.assert_allclose(mem[Seen.SHARE:Seen.SHARE + 2], [0.04, 0.1], atol=4.0 * np.sqrt(p[2, 2]))
+    np.testing.assert_allclose(mem[Integral.SHARE:Integral.SHARE + 2], [0.04, 0.1], atol=4.0 * np.sqrt(p[2, 2]))
 
 
 @pytest.mark.parametrize('down', [np.nan, 0.0])
@@ -565,9 +566,9 @@ def off_without_fixes(recording, measured, begin=90.0, duration=60.0):
     (Kind.HEADING, -np.exp(0.01j), np.pi - 0.01), (Kind.MAGNETIC, 1.5, 0.0)])
 def test_the_direction_of_a_heading_is_compared_and_the_length_of_a_speed(kind, ratio, off):
     # given a way that is so many times the one of the fixes, and turned; with a sigma of nearly nothing
-    mem = np.zeros(Seen.SIZE)
-    mem[Seen.SHARE:Seen.SHARE + 2] = np.real(ratio) - 1.0, np.imag(ratio)
-    mem[Seen.REDUCED] = displacement.SHARE_PRIOR - 1e-12
+    mem = np.zeros(INPUT_SIZE)
+    mem[Integral.SHARE:Integral.SHARE + 2] = np.real(ratio) - 1.0, np.imag(ratio)
+    mem[Integral.REDUCED] = displacement.SHARE_PRIOR - 1e-12
     assert off == 0.0 or displacement.differs(mem, 0, kind, off - 0.01)
     assert not displacement.differs(mem, 0, kind, off + 0.01)
 
@@ -575,13 +576,13 @@ def test_the_direction_of_a_heading_is_compared_and_the_length_of_a_speed(kind, 
 def compared(ways, mem=None):
     """What is seen of an input with such ways while the vehicle goes 10 m north each second; fixes of 1 m^2."""
     if mem is None:
-        mem = np.zeros(Seen.SIZE)
-        mem[Seen.DISPLACEMENT_TIME] = 30.0
+        mem = np.zeros(INPUT_SIZE)
+        mem[Integral.TIME] = 30.0
         displacement._begin(mem, 0, 1.0)
     since = np.zeros(2)  # the latest fix that has been compared, by the input and by the fixes
     for one in ways:
         since += one, 10.0
-        mem[Seen.TRAVELLED] = since[1]
+        mem[Integral.TRAVELLED] = since[1]
         if displacement.learn(mem, 0, complex(since[0]), complex(since[1]), 0.0, 1.0):
             since[:] = 0.0
     return mem
@@ -591,20 +592,20 @@ def test_one_fix_that_is_far_off_is_passed_over_and_two_are_another_speed():
     right = compared([10.0] * 30)
     # given a fix that is 30 m off, after which the next one is right again
     mem = compared([40.0, -20.0, 10.0], right.copy())
-    np.testing.assert_allclose(mem[Seen.SHARE], 0.0, atol=1e-3)
-    assert displacement.is_compared(mem, 0) and mem[Seen.REDUCED] > 0.9 * displacement.SHARE_PRIOR
-    mem[Seen.DISPLACEMENT_TIME] = 40.0
+    np.testing.assert_allclose(mem[Integral.SHARE], 0.0, atol=1e-3)
+    assert displacement.is_compared(mem, 0) and mem[Integral.REDUCED] > 0.9 * displacement.SHARE_PRIOR
+    mem[Integral.TIME] = 40.0
     compared([10.0] * 3, mem)
-    assert mem[Seen.COMPARED] == 30.0  # since then
+    assert mem[Integral.COMPARED] == 30.0  # since then
     # given a unit that changes
     mem = compared([36.0, 36.0], right.copy())
     assert not displacement.is_compared(mem, 0)
-    mem[Seen.DISPLACEMENT_TIME] = 70.0
+    mem[Integral.TIME] = 70.0
     compared([36.0] * 6, mem)
-    assert mem[Seen.COMPARED] == 70.0 and displacement.differs(mem, 0, Kind.SPEED, 0.05)
+    assert mem[Integral.COMPARED] == 70.0 and displacement.differs(mem, 0, Kind.SPEED, 0.05)
     # when it is the right one again, it is refused until that is known
     compared([10.0, 10.0], mem)
-    assert not displacement.is_compared(mem, 0) and mem[Seen.REDUCED] == 0.0
+    assert not displacement.is_compared(mem, 0) and mem[Integral.REDUCED] == 0.0
     compared([10.0] * 12, mem)
     assert displacement.is_compared(mem, 0) and not displacement.differs(mem, 0, Kind.SPEED, 0.05)
 
@@ -612,45 +613,45 @@ def test_one_fix_that_is_far_off_is_passed_over_and_two_are_another_speed():
 @pytest.mark.parametrize('rate', [10.0, 100.0])
 def test_stamps_that_may_be_late_count_by_the_change_of_velocity_and_not_by_its_noise(rate):
     # given a speed north with a noise of 0.05 m/s that goes from 5 to 8 m/s in five seconds, stamps known to 0.3 s
-    mem, rng = np.zeros(Nav.SIZE + Seen.SIZE), np.random.default_rng(1)
+    mem, rng = np.zeros(Nav.SIZE + INPUT_SIZE), np.random.default_rng(1)
     own, sigma = Nav.SIZE, 0.3
     time = np.arange(1, round(5.0 * rate) + 1) / rate
     said = 5.0 + 3.0 * time / 5.0 + 0.05 * rng.standard_normal(len(time))
-    mem[own + Seen.START] = mem[own + Seen.DISPLACEMENT_TIME] = 1e-9
-    mem[own + Seen.LAST] = mem[own + Seen.BEGAN] = 5.0
+    mem[own + Integral.START] = mem[own + Integral.TIME] = 1e-9
+    mem[own + Integral.LAST] = mem[own + Integral.BEGAN] = 5.0
     for now, north in zip(time, said):
         displacement.integrate(mem, 0, own, now, north, 0.0, 0.0, 0.0, 0.0, sigma**2)
     # then its integral is off by the offset times the change of velocity, at any rate
-    assert mem[own + Seen.LATE] == pytest.approx((sigma * (said[-1] - 5.0)) ** 2)
-    assert mem[own + Seen.VARIANCE] < 0.01
+    assert mem[own + Integral.LATE] == pytest.approx((sigma * (said[-1] - 5.0)) ** 2)
+    assert mem[own + Integral.VARIANCE] < 0.01
 
 
 @pytest.mark.parametrize('fitted, misled', [(99.9, True), (98.0, True), (94.0, False), (0.0, False)])
 def test_only_an_input_that_was_used_since_the_fix_before_has_misled_the_filter(fitted, misled):
     # given a velocity at 100 s that contradicts the fixes, the one before them at 99 s, and when it fitted last
     mem, r, at = np.zeros(3000), 1000, 2800
-    own = r + 1500 - Seen.SIZE
+    own = r + 1500 - INPUT_SIZE
     mem[Head.WIDTH], mem[Head.LATERAL_SIGMA] = 1500, 0.3
     mem[at + Event.KIND], mem[at + Event.INPUT], mem[at + Event.TIME] = Kind.VELOCITY, 1, 100.0
-    mem[own + Seen.START], mem[own + Seen.COMPARED], mem[own + Seen.FITTED] = 99.0, -1.0, fitted
+    mem[own + Integral.START], mem[own + Integral.COMPARED], mem[own + Fit.TIME] = 99.0, -1.0, fitted
     inputs._note_wrong_displacement(mem, r, at, 15)
     # then all fixes are used for a while only where it has, and it is refused in any case
-    assert (mem[r + Nav.USE_ALL_FIXES] > 0.0) == misled and mem[own + Seen.FITTED] == -100.0
+    assert (mem[r + Nav.USE_ALL_FIXES] > 0.0) == misled and mem[own + Fit.TIME] == -100.0
 
 
 @pytest.mark.parametrize('believed, lasts', [(99.0, 0.9), (93.9, 6.0), (20.0, 20.0)])
 def test_what_an_input_has_misled_is_undone_for_as_long_as_it_was_believed(believed, lasts):
     # given a velocity half as fast again as the fixes, known since `believed` s and used until 99.9 s, at 100 s
     mem, r, at = np.zeros(3000), 1000, 2800
-    own = r + 1500 - Seen.SIZE
+    own = r + 1500 - INPUT_SIZE
     mem[Head.WIDTH], mem[Head.LATERAL_SIGMA] = 1500, 0.3
     mem[at + Event.KIND], mem[at + Event.INPUT], mem[at + Event.TIME] = Kind.VELOCITY, 1, 100.0
-    mem[own + Seen.START], mem[own + Seen.COMPARED], mem[own + Seen.FITTED] = 99.0, believed, 99.9
-    mem[own + Seen.SHARE], mem[own + Seen.REDUCED] = 0.5, displacement.SHARE_PRIOR - 0.05**2
+    mem[own + Integral.START], mem[own + Integral.COMPARED], mem[own + Fit.TIME] = 99.0, believed, 99.9
+    mem[own + Integral.SHARE], mem[own + Integral.REDUCED] = 0.5, displacement.SHARE_PRIOR - 0.05**2
     inputs._note_wrong_displacement(mem, r, at, 15)
     # then all fixes are used for as long, 20 s at most
     assert mem[r + Nav.USE_ALL_FIXES] == pytest.approx(lasts)
     # and a longer time that began before is not cut
-    mem[r + Nav.USE_ALL_FIXES], mem[own + Seen.FITTED] = 15.0, 99.9
+    mem[r + Nav.USE_ALL_FIXES], mem[own + Fit.TIME] = 15.0, 99.9
     inputs._note_wrong_displacement(mem, r, at, 15)
     assert mem[r + Nav.USE_ALL_FIXES] == pytest.approx(max(lasts, 15.0))

@@ -44,6 +44,7 @@ from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, TWIST_CO
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.results import MeasurementLog, columns, result
 from mems_ins_fusion.filter.start.initial import sensor_errors_of
+from mems_ins_fusion.filter.trust.displacement import Integral
 from mems_ins_fusion.filter.trust.force_noise import ASSUMED_DENSITY, ForceNoise, force_noise, learn_from_change
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
 from mems_ins_fusion.filter.trust.line import Line, add_to_line, begin_line, fit_line
@@ -57,7 +58,7 @@ from mems_ins_fusion.filter.trust.receiver import (
     shown_share,
 )
 from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
-from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, Seen, scale
+from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, scale
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -690,12 +691,12 @@ def test_a_way_ends_at_a_refused_fix_only_where_three_before_it_were_refused(ref
     config, memory, _, _ = Receiver(20.0).through(**{
         'gnss.adapt_sigma': False, 'speed_topic': '/speed', 'speed.scale_sigma': 0.0, 'speed.time_offset_sigma': 0.0})
     way, now = statistics_at(config, Kind.SPEED), newest(memory)[Nav.TIME]
-    views(memory)[2][:, [Nav.REFUSED, way + Seen.DISPLACEMENT_TIME, way + Seen.START]] = refused, now - 0.1, 0.0
+    views(memory)[2][:, [Nav.REFUSED, way + Integral.TIME, way + Integral.START]] = refused, now - 0.1, 0.0
     # when it refuses one more, which is some hundred metres off
     take_event(memory, fix_event(now - 0.01, LATITUDE + 1e-4))
     assert newest(memory)[Nav.REFUSED] == refused + 1
     # then a way begins there only if all of them cannot be outliers
-    assert (newest(memory)[way + Seen.START] != 0.0) == (refused == 3)
+    assert (newest(memory)[way + Integral.START] != 0.0) == (refused == 3)
 
 
 def test_a_filter_has_not_strayed_from_refused_fixes_that_scatter():

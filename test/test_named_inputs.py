@@ -14,10 +14,10 @@ from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements.registry import FIRST_NAMED, aiding
-from mems_ins_fusion.filter.memory import NAV, Event, Head, Verdict, state_at
+from mems_ins_fusion.filter.memory import INPUT_SIZE, NAV, Event, Head, Verdict, state_at
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
-from mems_ins_fusion.filter.trust.scale import Seen, scale
+from mems_ins_fusion.filter.trust.scale import Noise, scale
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.parameter import ParameterError
@@ -119,8 +119,8 @@ def test_each_receiver_has_its_arm_clock_and_scale():
     theirs = left.measured.select(left.measured.kind == FIRST_NAMED)
     assert np.abs(theirs.event[20:, [Event.Z_N, Event.Z_E]]).max() < 0.3
     # and its scale is learned beside the other's
-    at = state_at(result.memory, int(result.memory[Head.SAMPLES])) + int(result.memory[Head.WIDTH]) - Seen.SIZE
-    assert 2.5 < np.sqrt(scale(result.memory, at)) < 8.0
+    at = state_at(result.memory, int(result.memory[Head.SAMPLES])) + int(result.memory[Head.WIDTH]) - INPUT_SIZE
+    assert 2.5 < np.sqrt(scale(result.memory, at + Noise.SCALE)) < 8.0
 
 
 def test_two_wheels_of_an_axle_tell_the_turn_rate():

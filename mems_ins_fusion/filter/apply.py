@@ -5,7 +5,7 @@ from mems_ins_fusion.compiled import njit
 
 from .measurements import position, registry, twist
 from .measurements.geometry import body_to_level, yaw_of
-from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, row_of
+from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, input_at, row_of
 from .prediction import set_radii
 from .trust import (
     contradiction,
@@ -23,7 +23,6 @@ from .trust.drift import learn_drift
 from .trust.fix_drift import FixDrift
 from .trust.hypotheses import Hypothesis
 from .trust.receiver import Receiver
-from .trust.scale import seen_of
 from .trust.standstill import note_speed, stands
 from .trust.usual_speed import learn_speed
 from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
@@ -139,7 +138,7 @@ def _apply_input(mem, r, at, sample):
     if inputs.has_displacement(kind) and verdict == Verdict.REFUSED:
         if inputs.is_contradicted(mem, r, at):
             mem[at + Event.VERDICT] = Verdict.CONTRADICTED
-        elif kind != Kind.MAGNETIC and not displacement.is_compared(mem, seen_of(mem, r, at)):
+        elif kind != Kind.MAGNETIC and not displacement.is_compared(mem, input_at(mem, r, at)):
             mem[at + Event.VERDICT] = Verdict.AWAITED
     if verdict != Verdict.REFUSED:
         end_update(mem, r)

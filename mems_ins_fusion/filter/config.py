@@ -47,7 +47,7 @@ FASTEST_IMU = 1000  # Hz, IMU rate up to which the memory holds the samples of g
 #: Hz, rate of all measurements together up to which the memory holds those of gnss.max_delay: speed, velocity and
 #: heading at 100 Hz, fixes at 20 Hz, and a margin
 MOST_MEASUREMENTS = 400
-SENSORS = ('accelerometer', 'gyroscope')
+SENSORS = ('accelerometer', 'gyroscope')  # first part of the names of their parameters
 #: names of the optional states for the vehicle's axes in the body's: to the right, and up, rad
 MOUNTING_STATES = 'mounting_yaw', 'mounting_pitch'
 #: when an IMU is switched off and on, its constant errors change by this share of the standard deviation that an

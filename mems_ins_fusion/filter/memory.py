@@ -81,12 +81,12 @@ class _Nav(NamedTuple):
 
 
 Nav = _Nav()
-NAV = Nav.SIZE
+NAV = Nav.SIZE  # columns before the estimated errors in a row
 #: columns of a state that other files declare; a return to an earlier state restores them with the state
 ROW = Part('a state', Nav.MECHANISMS, Nav.SIZE)
 #: numbers of the mechanizations: planar (north, east, heading), and in three dimensions
 PLANAR, STRAPDOWN = 0, 1
-MECHANIZATIONS = {PLANAR: planar, STRAPDOWN: strapdown}
+MECHANIZATIONS = {PLANAR: planar, STRAPDOWN: strapdown}  # and their modules
 BY_NAME = {'planar': PLANAR, 'strapdown': STRAPDOWN}  # as the parameter `mechanization` has it
 
 
@@ -170,7 +170,9 @@ def nonnegative(position):
     return position & 0x7FFFFFFFFFFFFFFF
 
 
-INPUT_SIZE = 56  # floats of each input but the fixes at the end of a row: its statistics (trust/scale.py)
+INPUT_SIZE = 56  # floats of each input but the fixes at the end of a row
+#: columns of one of these inputs, from `input_at` on, which other files declare: its statistics
+INPUT = Part('an input', 0, INPUT_SIZE)
 
 
 def row_width(layout: StateLayout) -> int:
@@ -363,7 +365,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # `StateLayout.rows`
     CHANNEL: int = column(6)  # `StateLayout.axes`
     AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
-    MECHANISMS: int = column(81)  # room for the columns that other files declare (`HEAD`)
+    MECHANISMS: int = column(80)  # room for the columns that other files declare (`HEAD`)
     SIZE: int = column(0)
 
 
@@ -392,7 +394,7 @@ class _Sample(NamedTuple):
     S: int = column(3)  # and its variances
     INTERVAL: int = column()  # s since the previous sample
     RATE_SCATTER: int = column()  # (rad/s)^2, running variance of the angular rates up to it
-    MECHANISMS: int = column(10)  # room for the columns that other files declare (`SAMPLE`)
+    MECHANISMS: int = column(7)  # room for the columns that other files declare (`SAMPLE`)
     SIZE: int = column(0)
 
 
@@ -587,6 +589,12 @@ def sample_at(memory, k):
 def event_at(memory, i):
     """Position of measurement i of those in the memory, in the order of time."""
     return int(memory[Head.EVENTS_AT]) + i * Event.SIZE
+
+
+@njit(_nrt=False)
+def input_at(memory, r, at):
+    """Position of the statistics (`INPUT`) of the input of the event at `at`, in the state at r."""
+    return r + int(memory[Head.WIDTH]) - INPUT_SIZE * int(memory[at + Event.INPUT])
 
 
 @njit(_nrt=False)

@@ -10,6 +10,7 @@ import numpy as np
 from ...navigation.frames import FLU_TO_FRD
 from ...parameters.parameter import Parameter
 
+#: types of the messages that measurements come in
 TWIST = 'geometry_msgs/msg/TwistWithCovarianceStamped'
 ODOMETRY = 'nav_msgs/msg/Odometry'
 POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'

@@ -12,9 +12,15 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import Event, Kind
-from ..trust.scale import Seen, seen_of
+from ..memory import INPUT, Event, Kind, input_at
+from ..trust.repeats import Latest
 
+#: of an input
+LowPass = INPUT.place(
+    'LowPass',
+    UNFOLLOWED=2,  # m/s or rad, lag of its low pass, and the time of that, s
+    UNFOLLOWED_TURN=2,  # rad/s, the same of its turn rate, and the time of that, s
+    TURN=1)  # rad/s, turn rate of the gyroscopes at its latest message
 #: time without a message, in time constants, after which the lag is zero again
 FOLLOWED_AFTER = 5.0
 
@@ -23,27 +29,27 @@ FOLLOWED_AFTER = 5.0
 def unfollowed(mem, r, at, now):
     """Lag of the event at `at` behind `now`, which is the forward speed, m/s, or the heading, rad, of the state at r.
     """
-    change = now - mem[seen_of(mem, r, at) + Seen.LEFT]
+    change = now - mem[input_at(mem, r, at) + Latest.LEFT]
     if mem[at + Event.KIND] == Kind.HEADING:
         change = math.atan2(math.sin(change), math.cos(change))
-    return _follow(mem, r, at, Seen.UNFOLLOWED, change)
+    return _follow(mem, r, at, LowPass.UNFOLLOWED, change)
 
 
 @njit(_nrt=False)
 def unfollowed_turn(mem, r, at, rate):
     """Lag of the turn rate of an odometry, rad/s. rate: turn rate by the gyroscopes, rad/s."""
-    own = seen_of(mem, r, at)
-    change, mem[own + Seen.TURN] = rate - mem[own + Seen.TURN], rate
-    return _follow(mem, r, at, Seen.UNFOLLOWED_TURN, change)
+    own = input_at(mem, r, at)
+    change, mem[own + LowPass.TURN] = rate - mem[own + LowPass.TURN], rate
+    return _follow(mem, r, at, LowPass.UNFOLLOWED_TURN, change)
 
 
 @njit(_nrt=False)
 def _follow(mem, r, at, column, change):
-    """Update the lag in the first of two columns of the input's `Seen`; the second one is its time. Returns the lag.
+    """Update the lag in the first of two columns of the input; the second one is its time. Returns the lag.
 
     change: of the input of the low pass since the previous message.
     """
-    lag, at_value = mem[at + Event.LAG], seen_of(mem, r, at) + column
+    lag, at_value = mem[at + Event.LAG], input_at(mem, r, at) + column
     before, mem[at_value + 1] = mem[at_value + 1], mem[at + Event.TIME]
     since = mem[at + Event.TIME] - before
     if before == 0.0 or not 0.0 < since < FOLLOWED_AFTER * lag:  # always true without a low pass, lag 0

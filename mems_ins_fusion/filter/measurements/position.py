@@ -120,14 +120,14 @@ def is_place(latitude, longitude, height):
 
 
 @register_jitable
-def is_position(latitude, longitude, height, status):
+def _is_position(latitude, longitude, height, status):
     """Whether a fix has a position; receivers without one send latitude 0, longitude 0. Of numbers or of arrays."""
     return is_place(latitude, longitude, height) & ((latitude != 0) | (longitude != 0)) & (status >= 0)
 
 
 def is_fix(fixes) -> np.ndarray:
     """(n,) which of `fixes` have a position."""
-    return is_position(fixes.latitude, fixes.longitude, fixes.height, fixes.status)
+    return _is_position(fixes.latitude, fixes.longitude, fixes.height, fixes.status)
 
 
 @njit(_nrt=False)
@@ -144,7 +144,7 @@ def _write(events, kind, latitude, longitude, height, status, covariance, kinds,
         nn, uu = covariance[i, 1, 1], covariance[i, 2, 2]
         r[Event.KIND], r[Event.STATUS] = kind, status[i]
         r[Event.LATITUDE], r[Event.LONGITUDE], r[Event.HEIGHT] = latitude[i], longitude[i], height[i]
-        usable[i] = is_position(r[Event.LATITUDE], r[Event.LONGITUDE], r[Event.HEIGHT], r[Event.STATUS])
+        usable[i] = _is_position(r[Event.LATITUDE], r[Event.LONGITUDE], r[Event.HEIGHT], r[Event.STATUS])
         stated[i] = (math.isfinite(ee) and math.isfinite(en) and math.isfinite(nn) and math.isfinite(uu)
                      and min(ee, nn) > 0.0 and nn * ee > en * en and kinds[i] != 0)
         say = say or not (usable[i] and stated[i])
@@ -161,7 +161,7 @@ def _write(events, kind, latitude, longitude, height, status, covariance, kinds,
 
 
 def _reason(latitude: float, longitude: float, height: float, status: float) -> str:
-    """Why a fix has no position (`is_position`), in words."""
+    """Why a fix has no position (`_is_position`), in words."""
     degrees = math.degrees(latitude), math.degrees(longitude)
     if status < 0:
         return 'no fix, by its status'

@@ -18,8 +18,8 @@ from mems_ins_fusion.compiled import njit
 from ...navigation.earth import STANDARD_GRAVITY
 from ...parameters.parameter import Parameter
 from ...samples import Pressures
-from ..memory import NAV, Error, Event, Head, Kind, Nav, velocity_variance
-from ..trust.scale import Scale, seen_of
+from ..memory import NAV, Error, Event, Head, Kind, Nav, input_at, velocity_variance
+from ..trust.scale import Noise, Scale
 from .base import Measurement
 from .events import empty, refuse, stated_or
 from .geometry import add
@@ -42,7 +42,7 @@ def _add_second_order(mem, r, at, share, state):
     speeds = velocity_variance(mem, r) / STANDARD_GRAVITY**2
     squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
     more = unknown * squared * speeds + 0.5 * (share * share + unknown) * (STANDARD_GRAVITY * speeds) ** 2
-    since = mem[at + Event.TIME] - mem[seen_of(mem, r, at) + Scale.TIME]
+    since = mem[at + Event.TIME] - mem[input_at(mem, r, at) + Noise.SCALE + Scale.TIME]
     mem[at + Event.R_NN] = mem[at + Event.VALUE + 2] + max(1.0, VELOCITY_ERROR_TIME / max(since, 1e-3)) * more
 
 

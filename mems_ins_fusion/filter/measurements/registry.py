@@ -30,6 +30,7 @@ assert len(MEASUREMENTS) == 1 + len(AIDING), 'two measurements with one number'
 #: what a named input can measure, by `NAME.type`
 TYPES = {measurement.name: measurement for measurement in (*MEASUREMENTS.values(), Pose())}
 INERTIAL = Inertial()  # a named input can also be a further IMU
+#: both: all that `NAME.type` can be
 _NAMED = {**TYPES, INERTIAL.name: INERTIAL}
 INPUTS = Parameter('inputs', [], 'text', 'Names of further inputs, any number, each with NAME.type '
                    f'({", ".join(sorted(_NAMED))}), NAME.topic, NAME.time_offset, NAME.sigma and others of its type, '

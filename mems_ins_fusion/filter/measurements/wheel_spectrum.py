@@ -34,7 +34,7 @@ LEAST = -1.5
 #: upper limit of the same, so that no single bin decides for a line. Chosen, not measured
 MOST = 3.5
 MEAN_OVER = 150.0  # windows over which powers and their statistics are averaged: five minutes
-BINS = POINTS + 1
+BINS = POINTS + 1  # number of frequencies of a spectrum, from zero on
 
 column = numbered()
 

@@ -63,10 +63,10 @@ SLOWEST = 4.0  # m/s: below this speed the lines of the wheels lie among those o
 FASTEST_TURN = 0.1  # rad/s: above this turn rate the wheels of the two sides have different speeds, and lines split
 TURN_LOW_PASS = 0.5  # s, time constant of the low pass of the turn rate
 HARMONICS = 4  # multiples of the revolution that are looked at
-CHANNELS = AXES * HARMONICS
+CHANNELS = AXES * HARMONICS  # number of powers that are looked at in each window
 LOG_STEP = 0.003  # step of the grid of x: at 40 m/s a line of the third harmonic is 0.5 % wide
 HALF = 85  # grid points to either side of x = 0
-GRID = 2 * HALF + 1
+GRID = 2 * HALF + 1  # number of grid points of x
 MIDDLE = 1.94  # m, geometric mean of the circumferences searched, 1.5 to 2.5: cars and vans
 HIGHEST_FREQUENCY = HARMONICS / MIDDLE * math.exp(LOG_STEP * HALF)  # highest frequency looked at, cycles per metre
 NO_POWER = -99.0  # power of a grid point beyond the spectrum
@@ -104,7 +104,7 @@ WITHOUT_FIX = 3.0  # s after the last fix used from which there are no fixes
 RELATIVE_SPEED_SIGMA = 0.03
 SPEED_STEP = 0.05  # m/s, step of the grid of the error of the filter's speed
 SPEED_HALF = 80  # grid points to either side of zero
-SPEEDS = 2 * SPEED_HALF + 1
+SPEEDS = 2 * SPEED_HALF + 1  # number of grid points of that error
 #: m/s, standard deviation of the filter's speed above which no speed is reported: half of the grid
 LARGEST_SPEED_SIGMA = 2.0
 DENSITY_FLOOR = 1e-12  # added to each point of the density: no speed is impossible
@@ -218,7 +218,7 @@ def listen(mem, k):
     """Add sample k to the current row, and process the window if one ends here."""
     at, sample, r = int(mem[Wheels.AT]), nonnegative(sample_at(mem, k)), nonnegative(state_at(mem, k))
     dt, time = mem[sample + Sample.INTERVAL], mem[sample + Sample.TIME]
-    speed = speed_of(mem, r)
+    speed = _speed_of(mem, r)
     mem[at + Lines.ELAPSED] += dt
     mem[at + Lines.TURN] += min(dt / TURN_LOW_PASS, 1.0) * (angular_rate(mem, r, sample)[2] - mem[at + Lines.TURN])
     if speed < SLOWEST or abs(mem[at + Lines.TURN]) > FASTEST_TURN or dt > mem[Head.MAX_GAP] or (
@@ -253,7 +253,7 @@ def _append_row(mem, at):
 
 
 @njit(_nrt=False)
-def speed_of(mem, r):
+def _speed_of(mem, r):
     """Speed of the state at r, m/s, corrected by its estimated error."""
     total = 0.0
     for i in range(3):
@@ -264,7 +264,7 @@ def speed_of(mem, r):
 
 
 @njit(_nrt=False)
-def along_variance(mem, r):
+def _along_variance(mem, r):
     """Variance of the speed over ground of the state at r, m^2/s^2."""
     v = velocity_state(mem)
     v_n, v_e = mem[r + Nav.V_N], mem[r + Nav.V_E]
@@ -277,7 +277,7 @@ def along_variance(mem, r):
 def _process_window(mem, at, r, sample, speed):
     """Process the window that ends at the state at r."""
     time, way, last = look(mem, at + Lines.SPECTRUM, HIGHEST_FREQUENCY)
-    mean, filtered, now = way / time, along_variance(mem, r), mem[sample + Sample.TIME]
+    mean, filtered, now = way / time, _along_variance(mem, r), mem[sample + Sample.TIME]
     fixes_come = now - mem[r + Nav.RESIDUAL_TIME] < WITHOUT_FIX
     in_a_row, mem[at + Lines.LAST] = now - mem[at + Lines.LAST] < 1.5 * HOP, now
     learns = fixes_come and filtered < (RELATIVE_SPEED_SIGMA * mean) ** 2

@@ -32,6 +32,7 @@ from ..memory import (
     Sample,
     element_at,
     has_constraints,
+    input_at,
     nonnegative,
     sample_at,
     state_at,
@@ -41,7 +42,7 @@ from ..memory import (
 from ..prediction import predict
 from ..trust.inputs import SPEED_CORRELATION
 from ..trust.receiver import Receiver, lasting_factor
-from ..trust.scale import Scale, scale, seen_of
+from ..trust.scale import Noise, Scale, scale
 from ..update import begin_update, end_update, update
 from .newest import STEP, NewestState
 from .odometry import added_covariance
@@ -161,7 +162,7 @@ def _take_speed(mem, r, sample, interval):
     mem[at + Event.Z_N] = 0.0
     for i in range(n):
         mem[at + Event.Z_N] += mem[h + i] * mem[r + NAV + i]
-    factor = max(scale(mem, seen_of(mem, r, at)), 1.0)
+    factor = max(scale(mem, input_at(mem, r, at) + Noise.SCALE), 1.0)
     update(mem, r, at, n, dimensions, factor, max(interval, SPEED_CORRELATION) / STEP, 0.0, 0.0, 0.0)
     end_update(mem, r)
 

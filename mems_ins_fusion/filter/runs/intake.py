@@ -66,7 +66,7 @@ def follow(state, stamp, values, restart_gap, step_back, codes):
 
 
 @njit(_nrt=False)
-def check_stamps(events, stamp, newest, last, late, epoch, latest, most_ahead, codes):
+def _check_stamps(events, stamp, newest, last, late, epoch, latest, most_ahead, codes):
     """Check the stamps of measurements and write their times to the events. Returns the last valid stamp, ns, and how
     many measurements are not valid.
 
@@ -161,7 +161,7 @@ class Intake:
         for i in reasons:
             codes[i] = NO_MEASUREMENT
         stamp = np.array(samples.stamp, dtype=np.int64)
-        self._last[kind], flagged = check_stamps(events, stamp, newest, self._last[kind], late, epoch, self._latest,
+        self._last[kind], flagged = _check_stamps(events, stamp, newest, self._last[kind], late, epoch, self._latest,
                                                  LATEST + max(-offset, 0.0), codes)
         used = np.arange(len(events))
         if flagged or warnings:

@@ -30,7 +30,7 @@ from .snapshot import saved_at_jump
 from .vehicle_check import found_time_offsets, vehicle_warnings
 from .withheld import Withheld
 
-_NOTHING = np.empty((0, Event.SIZE))
+_NOTHING = np.empty((0, Event.SIZE))  # no measurements
 
 
 @dataclass(frozen=True)
@@ -336,7 +336,7 @@ class Replay(Intake):
         if self.memory is None:
             return
         fixes = measured.event[measured.kind == Kind.POSITION]
-        for text in (*imu_warnings(self.memory, self.config.imu.topic),
+        for text in (*_imu_warnings(self.memory, self.config.imu.topic),
                      *vehicle_warnings(self.memory, self.config, fixes)):
             self.say('warning', text)
         for kind, text in found_time_offsets(self.memory, self.config).items():
@@ -454,7 +454,7 @@ def _announced(horizon: HorizonPredictor, memory: np.ndarray, begin: float, real
     return float(newest_row(memory)[Nav.TIME]) - begin + seconds if seconds > 0.0 else 0.0
 
 
-def imu_warnings(memory: np.ndarray, topic: str) -> list[str]:
+def _imu_warnings(memory: np.ndarray, topic: str) -> list[str]:
     """Messages on rejected IMU samples, and on states that were not finite."""
     texts = [f'{topic}: {memory[Imu.FAULTS + i]:.0f} samples rejected: {name}'
              for i, name in enumerate(FAULTS) if i and memory[Imu.FAULTS + i]]

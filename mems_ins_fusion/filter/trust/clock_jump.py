@@ -31,10 +31,18 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import NAV, Event, Head, is_of_velocity
+from ..memory import INPUT, NAV, Event, Head, is_of_velocity
 from ..update import product
-from .scale import LARGEST_DEVIATION, Scale, Seen, reopen
+from .scale import LARGEST_DEVIATION, Noise, Scale, reopen
 
+#: of an input
+Jump = INPUT.place(
+    'Jump',
+    SCORE=4,  # jump of its time offset over its variance, 1/s, and 1 / variance, 1/s^2, before the state has followed
+    # it, and the same after that
+    OFFSET=1,  # s, its time offset at its latest message,
+    OFFSET_VARIANCE=1,  # s^2, and the variance of that
+    FOLLOWED=2)  # part of the signature that the state has followed, two components
 #: s, time constant with which earlier innovations are forgotten: the duration of a manoeuvre. Those before the jump
 #: make the estimated jump too small
 JUMP_MEMORY = 4.0
@@ -60,21 +68,21 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance, error):
     explains, and the variance of `error`, the state of the input's constant error (-1: none), by what would cause the
     same innovation.
 
-    own: position of the input's `Seen`. noise, variance: parts of the variance of the innovation, by the input and by
+    own: position of the input's columns. noise, variance: parts of the variance of the innovation, by the input and by
     the state at r. Not to be called for an input that is refused as slip, which says nothing of the time: clipped,
     3 m/s of slip in an acceleration look like half a second.
     """
     state = int(mem[at + Event.TIME_OFFSET])
     if state <= 0:
         return False
-    keep = math.exp(-max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0) / JUMP_MEMORY)
+    keep = math.exp(-max(mem[at + Event.TIME] - mem[own + Noise.SCALE + Scale.TIME], 0.0) / JUMP_MEMORY)
     for k in range(4):
-        mem[own + Seen.JUMP + k] *= keep
+        mem[own + Jump.SCORE + k] *= keep
     _add_innovation(mem, r, at, n, own, dimensions, noise, variance, state)
     _add_correction(mem, r, n, own, state)
-    jump, followed = _significant(mem, r, own + Seen.JUMP, state), False
+    jump, followed = _significant(mem, r, own + Jump.SCORE, state), False
     if jump == 0.0 and is_of_velocity(mem[at + Event.KIND]):  # others are found before the state has followed them
-        jump, followed = _significant(mem, r, own + Seen.JUMP + 2, state), True
+        jump, followed = _significant(mem, r, own + Jump.SCORE + 2, state), True
     if jump == 0.0:
         return False
     p = int(mem[Head.SCRATCH_AT])
@@ -92,8 +100,8 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance, error):
     else:
         mem[p + (n + 1) * state] += jump**2
     for k in range(4):
-        mem[own + Seen.JUMP + k] = 0.0
-    reopen(mem, own, 1.0)  # innovations before it may have been caused by the jump, and not by noise
+        mem[own + Jump.SCORE + k] = 0.0
+    reopen(mem, own + Noise.SCALE, 1.0)  # innovations before it may have been caused by the jump, and not by noise
     return True
 
 
@@ -102,27 +110,27 @@ def _add_innovation(mem, r, at, n, own, dimensions, noise, variance, state):
     """Add the innovation of the event at `at` to what tells a recent jump."""
     h = int(mem[Head.SCRATCH_AT]) + n * n
     gain = variance / (variance + noise)
-    left = math.exp(-max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0) / FOLLOWING_TIME)
+    left = math.exp(-max(mem[at + Event.TIME] - mem[own + Noise.SCALE + Scale.TIME], 0.0) / FOLLOWING_TIME)
     largest = LARGEST_DEVIATION * math.sqrt(noise + variance)
     for k in range(dimensions):
-        followed = left * mem[own + Seen.FOLLOWED + k]
+        followed = left * mem[own + Jump.FOLLOWED + k]
         signature = mem[h + n * k + state] - followed
-        mem[own + Seen.FOLLOWED + k] = followed + gain * signature
+        mem[own + Jump.FOLLOWED + k] = followed + gain * signature
         innovation = mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)
         innovation = max(-largest, min(innovation, largest))
-        mem[own + Seen.JUMP] += signature * innovation / (noise + variance)
-        mem[own + Seen.JUMP + 1] += signature * signature / (noise + variance)
+        mem[own + Jump.SCORE] += signature * innovation / (noise + variance)
+        mem[own + Jump.SCORE + 1] += signature * signature / (noise + variance)
 
 
 @njit(_nrt=False)
 def _add_correction(mem, r, n, own, state):
     """Add the correction of the offset since the previous message of the input to what tells a jump before that."""
     offset, variance = mem[r + NAV + state], mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * state]
-    before = mem[own + Seen.OFFSET_VARIANCE]
+    before = mem[own + Jump.OFFSET_VARIANCE]
     if variance < before:  # else it is the first one, or was made uncertain
-        mem[own + Seen.JUMP + 2] += (offset - mem[own + Seen.OFFSET]) / before
-        mem[own + Seen.JUMP + 3] += (before - variance) / before**2
-    mem[own + Seen.OFFSET], mem[own + Seen.OFFSET_VARIANCE] = offset, variance
+        mem[own + Jump.SCORE + 2] += (offset - mem[own + Jump.OFFSET]) / before
+        mem[own + Jump.SCORE + 3] += (before - variance) / before**2
+    mem[own + Jump.OFFSET], mem[own + Jump.OFFSET_VARIANCE] = offset, variance
 
 
 @njit(_nrt=False)

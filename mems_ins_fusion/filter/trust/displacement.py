@@ -22,11 +22,29 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..measurements.base import UNDECLARED_OFFSET
-from ..memory import INPUT_SIZE, Event, Head, Kind, Nav, is_of_heading, nonnegative
+from ..memory import INPUT, INPUT_SIZE, Event, Head, Kind, Nav, is_of_heading, nonnegative
 from .hypotheses import SHORTEST_CORRELATION
 from .receiver import LASTING_TIME
-from .scale import Inputs, Seen
+from .scale import Inputs
 
+#: of an input
+Integral = INPUT.place(
+    'Integral',
+    DISPLACEMENT=2,  # m, north and east, integral of its velocity since the fix START,
+    TIME=1,  # s, end of the integral; 0: nothing was integrated
+    START=3,  # time (s; 0: none), latitude and longitude (rad) of that fix
+    LAST=2,  # m/s, latest velocity, north and east
+    BEGAN=2,  # m/s, the same at START
+    VARIANCE=1,  # m^2, of the displacement,
+    LATE=1,  # and by the error of its time offset
+    TRAVELLED=2,  # m, north and east, displacement of the filter since START
+    DISTANCE=2,  # m, north and east, from the antenna to the integral: estimate minus measurement at START,
+    DISTANCE_VARIANCE=1,  # m^2, variance of the estimate,
+    COVARIANCE=2,  # m, and its covariance with the share
+    SHARE=2,  # by which its displacements are longer than those of the antenna, and to the side,
+    REDUCED=1,  # and SHARE_PRIOR minus its variance
+    COMPARED=1,  # s, time at which the comparison was complete; 0: not yet; -1: begun anew after it was wrong
+    REJECTED=1)  # number of fixes in a row that were not compared
 #: prior variance of the share: a speed in another unit, or of the wrong sign
 SHARE_PRIOR = 1.0
 #: 1/m, growth of the variance of the share with the distance travelled: slip changes with the ground, by six percent in
@@ -53,21 +71,21 @@ COMPARED_SIGMA = 0.09
 @njit(_nrt=False)
 def interrupt(mem, own):
     """End the displacement of an input: the next one begins with the next fix."""
-    mem[own + Seen.START] = 0.0
+    mem[own + Integral.START] = 0.0
 
 
 @njit(_nrt=False)
 def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_variance):
-    """Integrate the velocity that an input measures at `time`, s. own: position of its `Seen`.
+    """Integrate the velocity that an input measures at `time`, s. own: position of its columns.
 
     v_n, v_e: velocity of the antenna, m/s; linear between two measurements. density: variance of the integral in 1 s,
     m^2/s. yaw_variance: of the heading by which the velocity was rotated, rad^2. late, late_variance: estimated time
     offset of its stamps, s, and the variance of this estimate.
     """
-    before, mem[own + Seen.DISPLACEMENT_TIME] = mem[own + Seen.DISPLACEMENT_TIME], time
+    before, mem[own + Integral.TIME] = mem[own + Integral.TIME], time
     since = time - before
-    mem[own + Seen.TRAVELLED] += mem[r + Nav.V_N] * since
-    mem[own + Seen.TRAVELLED + 1] += mem[r + Nav.V_E] * since
+    mem[own + Integral.TRAVELLED] += mem[r + Nav.V_N] * since
+    mem[own + Integral.TRAVELLED + 1] += mem[r + Nav.V_E] * since
     if before != 0.0 and since > LONGEST_PAUSE:  # too slow to be integrated: accepted without a comparison
         accept(mem, own)
     if yaw_variance > LARGEST_HEADING_SIGMA**2:
@@ -75,13 +93,13 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
         interrupt(mem, own)
     if not 0.0 < since <= LONGEST_PAUSE:
         interrupt(mem, own)
-    mem[own + Seen.VARIANCE] += density * since
-    mem[own + Seen.LATE] = 0.0
+    mem[own + Integral.VARIANCE] += density * since
+    mem[own + Integral.LATE] = 0.0
     for k, v in enumerate((v_n, v_e)):
-        change, mem[own + Seen.LAST + k] = v - mem[own + Seen.LAST + k], v
-        mem[own + Seen.DISPLACEMENT + k] += (v - 0.5 * change) * since + late * change
-        mem[own + Seen.VARIANCE] += since**2 / 12.0 * change**2  # it may have changed at any time in between
-        mem[own + Seen.LATE] += late_variance * (v - mem[own + Seen.BEGAN + k]) ** 2
+        change, mem[own + Integral.LAST + k] = v - mem[own + Integral.LAST + k], v
+        mem[own + Integral.DISPLACEMENT + k] += (v - 0.5 * change) * since + late * change
+        mem[own + Integral.VARIANCE] += since**2 / 12.0 * change**2  # it may have changed at any time in between
+        mem[own + Integral.LATE] += late_variance * (v - mem[own + Integral.BEGAN + k]) ** 2
 
 
 @njit(_nrt=False)
@@ -90,13 +108,13 @@ def forget(mem, own):
     (`inputs._is_right_again`)."""
     forget_share(mem, own)
     interrupt(mem, own)
-    mem[own + Seen.COMPARED] = -1.0
+    mem[own + Integral.COMPARED] = -1.0
 
 
 @njit(_nrt=False)
 def forget_share(mem, own):
     """Reset the share to its prior."""
-    mem[own + Seen.SHARE] = mem[own + Seen.SHARE + 1] = mem[own + Seen.REDUCED] = 0.0
+    mem[own + Integral.SHARE] = mem[own + Integral.SHARE + 1] = mem[own + Integral.REDUCED] = 0.0
 
 
 @njit(_nrt=False)
@@ -110,68 +128,70 @@ def compare(mem, r, at, variance):
 @njit(_nrt=False)
 def _compare(mem, r, at, own, variance):
     time = mem[at + Event.TIME]
-    if mem[own + Seen.DISPLACEMENT_TIME] == 0.0:
+    if mem[own + Integral.TIME] == 0.0:
         return
-    since = time - mem[own + Seen.DISPLACEMENT_TIME]
-    last_n, last_e = mem[own + Seen.LAST] * since, mem[own + Seen.LAST + 1] * since
-    interval = time - mem[own + Seen.START]
+    since = time - mem[own + Integral.TIME]
+    last_n, last_e = mem[own + Integral.LAST] * since, mem[own + Integral.LAST + 1] * since
+    interval = time - mem[own + Integral.START]
     # with the error by a time offset that has not been estimated yet
     noise = variance + UNDECLARED_OFFSET**2 * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
     if interval > 0.0:  # errors of successive fixes are correlated: all fixes within this time count as one
         noise *= max(1.0, SHORTEST_CORRELATION / interval)
-    if mem[own + Seen.START] == 0.0 or since > LONGEST_PAUSE:
+    if mem[own + Integral.START] == 0.0 or since > LONGEST_PAUSE:
         _begin(mem, own, noise)
     elif interval <= 0.0:
         return
     else:
-        north = (mem[at + Event.LATITUDE] - mem[own + Seen.START + 1]) / mem[r + Nav.NORTH_SCALE]
-        east = (mem[at + Event.LONGITUDE] - mem[own + Seen.START + 2]) / mem[r + Nav.EAST_SCALE]
-        moved = complex(mem[own + Seen.DISPLACEMENT] + last_n, mem[own + Seen.DISPLACEMENT + 1] + last_e)
-        drift = (mem[own + Seen.VARIANCE] + mem[own + Seen.LATE] + UNEVEN_SHARE**2 * abs(moved) ** 2 / interval
+        north = (mem[at + Event.LATITUDE] - mem[own + Integral.START + 1]) / mem[r + Nav.NORTH_SCALE]
+        east = (mem[at + Event.LONGITUDE] - mem[own + Integral.START + 2]) / mem[r + Nav.EAST_SCALE]
+        moved = complex(mem[own + Integral.DISPLACEMENT] + last_n, mem[own + Integral.DISPLACEMENT + 1] + last_e)
+        drift = (mem[own + Integral.VARIANCE] + mem[own + Integral.LATE] + UNEVEN_SHARE**2 * abs(moved) ** 2 / interval
                  + 2.0 * mem[r + Nav.LASTING] * interval / LASTING_TIME)
         if not learn(mem, own, moved, complex(north, east), drift, noise):
             return
-    mem[own + Seen.START], mem[own + Seen.VARIANCE] = time, 0.0
-    mem[own + Seen.TRAVELLED] = mem[own + Seen.TRAVELLED + 1] = 0.0
+    mem[own + Integral.START], mem[own + Integral.VARIANCE] = time, 0.0
+    mem[own + Integral.TRAVELLED] = mem[own + Integral.TRAVELLED + 1] = 0.0
     # the time up to the fix belongs to the previous displacement
-    mem[own + Seen.DISPLACEMENT], mem[own + Seen.DISPLACEMENT + 1] = -last_n, -last_e
-    mem[own + Seen.BEGAN], mem[own + Seen.BEGAN + 1] = mem[own + Seen.LAST], mem[own + Seen.LAST + 1]
-    mem[own + Seen.LATE] = 0.0
-    mem[own + Seen.START + 1], mem[own + Seen.START + 2] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
+    mem[own + Integral.DISPLACEMENT], mem[own + Integral.DISPLACEMENT + 1] = -last_n, -last_e
+    mem[own + Integral.BEGAN], mem[own + Integral.BEGAN + 1] = mem[own + Integral.LAST], mem[own + Integral.LAST + 1]
+    mem[own + Integral.LATE] = 0.0
+    mem[own + Integral.START + 1], mem[own + Integral.START + 2] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
 
 
 @njit(_nrt=False)
 def _begin(mem, own, noise):
     """Begin the distance of an input anew at a fix with the variance `noise`, m^2. The estimate of the share stays."""
     for i in range(2):
-        mem[own + Seen.DISTANCE + i] = mem[own + Seen.COVARIANCE + i] = 0.0
-    mem[own + Seen.DISTANCE_VARIANCE], mem[own + Seen.REJECTED] = noise, 0.0
+        mem[own + Integral.DISTANCE + i] = mem[own + Integral.COVARIANCE + i] = 0.0
+    mem[own + Integral.DISTANCE_VARIANCE], mem[own + Integral.REJECTED] = noise, 0.0
 
 
 @njit(_nrt=False)
 def learn(mem, own, moved, fixes, drift, noise):
     """Kalman step with the displacements since the previous fix by an input (moved) and the fixes, m, north + i east.
 
-    own: position of the input's `Seen`. drift: process noise of the distance, m^2. noise: variance of the fix, m^2.
+    own: position of the input's columns. drift: process noise of the distance, m^2. noise: variance of the fix, m^2.
     Returns whether the fix was compared, so that the next displacement begins at it.
     """
     # displacement of the filter: that of the input contains noise, which would make the estimated share too small
-    travelled = complex(mem[own + Seen.TRAVELLED], mem[own + Seen.TRAVELLED + 1])
-    share = complex(mem[own + Seen.SHARE], mem[own + Seen.SHARE + 1])
-    covariance = complex(mem[own + Seen.COVARIANCE], mem[own + Seen.COVARIANCE + 1])  # covariance of distance and share
-    variance = min(SHARE_PRIOR - mem[own + Seen.REDUCED] + SHARE_WALK * abs(travelled), SHARE_PRIOR)
-    expected = (mem[own + Seen.DISTANCE_VARIANCE] + 2.0 * (covariance * travelled.conjugate()).real
+    travelled = complex(mem[own + Integral.TRAVELLED], mem[own + Integral.TRAVELLED + 1])
+    share = complex(mem[own + Integral.SHARE], mem[own + Integral.SHARE + 1])
+    # of distance and share
+    covariance = complex(mem[own + Integral.COVARIANCE], mem[own + Integral.COVARIANCE + 1])
+    variance = min(SHARE_PRIOR - mem[own + Integral.REDUCED] + SHARE_WALK * abs(travelled), SHARE_PRIOR)
+    expected = (mem[own + Integral.DISTANCE_VARIANCE] + 2.0 * (covariance * travelled.conjugate()).real
                 + abs(travelled) ** 2 * variance + drift)
     covariance += travelled * variance
     # DISTANCE holds the distance estimated minus that measured at the previous fix
-    innovation = moved - fixes - share * travelled - complex(mem[own + Seen.DISTANCE], mem[own + Seen.DISTANCE + 1])
+    distance = complex(mem[own + Integral.DISTANCE], mem[own + Integral.DISTANCE + 1])
+    innovation = moved - fixes - share * travelled - distance
     if abs(innovation) ** 2 > COMPARED_GATE**2 * (expected + noise):
-        mem[own + Seen.REJECTED] += 1.0
-        if mem[own + Seen.REJECTED] < 2.0:
+        mem[own + Integral.REJECTED] += 1.0
+        if mem[own + Integral.REJECTED] < 2.0:
             return False
         # an input that was wrong stays wrong until it is right again
         wrong = _is_significant(mem, own, abs(share), TOLERATED_SHARE)
-        mem[own + Seen.COMPARED], mem[own + Seen.REDUCED] = -1.0 if wrong else 0.0, 0.0
+        mem[own + Integral.COMPARED], mem[own + Integral.REDUCED] = -1.0 if wrong else 0.0, 0.0
         _begin(mem, own, noise)
         return True
     gain = expected / (expected + noise)
@@ -179,12 +199,12 @@ def learn(mem, own, moved, fixes, drift, noise):
     variance -= abs(covariance) ** 2 / (expected + noise)
     covariance *= 1.0 - gain
     left = (gain - 1.0) * innovation
-    mem[own + Seen.SHARE], mem[own + Seen.SHARE + 1] = share.real, share.imag
-    mem[own + Seen.REDUCED] = SHARE_PRIOR - variance
-    mem[own + Seen.COVARIANCE], mem[own + Seen.COVARIANCE + 1] = covariance.real, covariance.imag
-    mem[own + Seen.DISTANCE], mem[own + Seen.DISTANCE + 1] = left.real, left.imag
-    mem[own + Seen.DISTANCE_VARIANCE] = gain * noise
-    mem[own + Seen.REJECTED] = 0.0
+    mem[own + Integral.SHARE], mem[own + Integral.SHARE + 1] = share.real, share.imag
+    mem[own + Integral.REDUCED] = SHARE_PRIOR - variance
+    mem[own + Integral.COVARIANCE], mem[own + Integral.COVARIANCE + 1] = covariance.real, covariance.imag
+    mem[own + Integral.DISTANCE], mem[own + Integral.DISTANCE + 1] = left.real, left.imag
+    mem[own + Integral.DISTANCE_VARIANCE] = gain * noise
+    mem[own + Integral.REJECTED] = 0.0
     if variance < COMPARED_SIGMA**2:
         accept(mem, own)
     return True
@@ -193,28 +213,28 @@ def learn(mem, own, moved, fixes, drift, noise):
 @njit(_nrt=False)
 def accept(mem, own):
     """Mark the comparison of an input as complete."""
-    if mem[own + Seen.COMPARED] <= 0.0:
-        mem[own + Seen.COMPARED] = mem[own + Seen.DISPLACEMENT_TIME]
+    if mem[own + Integral.COMPARED] <= 0.0:
+        mem[own + Integral.COMPARED] = mem[own + Integral.TIME]
 
 
 @njit(_nrt=False)
 def is_compared(mem, own):
     """Whether the comparison of an input is complete: a wrong share would have been significant."""
-    return mem[own + Seen.COMPARED] > 0.0
+    return mem[own + Integral.COMPARED] > 0.0
 
 
 @njit(_nrt=False)
 def squared_share(mem, own):
     """Square of the share that an input has, beyond what the variance of its estimate explains."""
-    square = mem[own + Seen.SHARE] ** 2 + mem[own + Seen.SHARE + 1] ** 2
-    return max(square - 2.0 * (SHARE_PRIOR - mem[own + Seen.REDUCED]), 0.0)
+    square = mem[own + Integral.SHARE] ** 2 + mem[own + Integral.SHARE + 1] ** 2
+    return max(square - 2.0 * (SHARE_PRIOR - mem[own + Integral.REDUCED]), 0.0)
 
 
 @njit(_nrt=False)
 def differs(mem, own, kind, tolerated):
     """Whether the displacements of an input of this kind differ significantly from those of the fixes. tolerated: share
     by which they may differ; of a heading, rad."""
-    share = complex(mem[own + Seen.SHARE], mem[own + Seen.SHARE + 1])
+    share = complex(mem[own + Integral.SHARE], mem[own + Integral.SHARE + 1])
     if is_of_heading(kind):
         off = abs(math.atan2(share.imag, 1.0 + share.real))
     else:
@@ -224,4 +244,4 @@ def differs(mem, own, kind, tolerated):
 
 @njit(_nrt=False)
 def _is_significant(mem, own, off, tolerated):
-    return off > tolerated + SHARE_SIGMAS * math.sqrt(SHARE_PRIOR - mem[own + Seen.REDUCED])
+    return off > tolerated + SHARE_SIGMAS * math.sqrt(SHARE_PRIOR - mem[own + Integral.REDUCED])

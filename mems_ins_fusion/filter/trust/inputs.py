@@ -11,13 +11,24 @@ from mems_ins_fusion.compiled import njit
 
 from ..measurements import magnetometer
 from ..measurements.geometry import angular_rate, arm_of, body_velocity, rotate, vehicle_to_level
-from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity, yaw_state
+from ..measurements.low_pass import LowPass
+from ..memory import INPUT, NAV, Event, Head, Kind, Nav, input_at, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
 from . import clock_jump, contradiction, displacement, hypotheses, receiver, repeats
 from .clock_jump import LARGEST_ERROR, LARGEST_OFFSET
-from .scale import PRIOR, Scale, Seen, learn_changes, reopen, scale, seen_of
+from .displacement import Integral
+from .scale import PRIOR, Noise, Scale, learn_changes, reopen, scale
 from .standstill import SLOWEST_SPEED
 
+#: of an input
+Fit = INPUT.place(
+    'Fit',
+    TIME=1,  # s, of its latest value that fitted; negative: it is wrong, and when that was seen
+    ABOVE=1,  # s, time of its latest value far above the expected one,
+    BELOW=1,  # s, and of the latest one far below it
+    LEVEL=1,  # m/s or rad, low-passed innovation of the values that fitted,
+    LEVEL_VARIANCE=1,  # and the low-passed part of their variance that is the state's
+    STEP=1)  # rad, sum of the changes of a heading's innovation since it fitted
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
 #: Weighted down it would still pull, each time.
 GATE = 10.0
@@ -92,22 +103,22 @@ def factor_and_limits(mem, r, at, n, dimensions):
     one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components that are judged together, 1
     or 2.
     """
-    own, kind, time = seen_of(mem, r, at), int(mem[at + Event.KIND]), mem[at + Event.TIME]
+    own, kind, time = input_at(mem, r, at), int(mem[at + Event.KIND]), mem[at + Event.TIME]
     _note_wrong_displacement(mem, r, at, n)
-    since = time - mem[own + Scale.TIME]
+    since = time - mem[own + Noise.SCALE + Scale.TIME]
     if not is_contradicted(mem, r, at) and _is_uncompared(mem, r, at):
         return _before_comparison(mem, at, own, since)
     correlation = SPEED_CORRELATION if is_of_velocity(kind) else FIELD_CORRELATION if kind == Kind.MAGNETIC else 0.0
     density = _repeated(correlation, since)
     claimed = mem[at + Event.R_NN] if dimensions == 1 else 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
-    before = max(scale(mem, own), 1.0)
+    before = max(scale(mem, own + Noise.SCALE), 1.0)
     unknown = repeats.unknown(mem, own, time) if is_forward_speed(kind) else 0.0
     noise = _noise(kind, claimed, before * claimed + unknown)
     squared, variance = _innovation(mem, r, at, n, dimensions)
     if is_contradicted(mem, r, at):
         if not _is_right_again(mem, r, at, n, own, squared, variance + noise):
             return 1.0, 1.0, REFUSE_ALL
-        mem[own + Seen.FITTED] = 0.0
+        mem[own + Fit.TIME] = 0.0
         _forget_error(mem, at, n, own, squared - variance - noise)  # maybe not as the one it was
         squared, variance = _innovation(mem, r, at, n, dimensions)
     change, expected = _change(mem, r, at, n, own, noise, variance, since)
@@ -132,13 +143,13 @@ def factor_and_limits(mem, r, at, n, dimensions):
         expected = variance + min(before, LARGEST_NOISE_FACTOR) * claimed
         hypotheses.score_further_fix(mem, r, squared, expected, since)
         if _is_elsewhere(mem, own, time, squared, expected, confirmed):
-            mem[own + Scale.TIME] = time
+            mem[own + Noise.SCALE + Scale.TIME] = time
             return 1.0, 1.0, REFUSE_ALL
     if slips:  # which is no noise
-        mem[own + Scale.TIME] = time
+        mem[own + Noise.SCALE + Scale.TIME] = time
     else:
-        learn_changes(mem, own, time, squared, claimed, variance, dimensions, 1.0 / density)
-    factor = max(scale(mem, own), 1.0) + unknown / claimed
+        learn_changes(mem, own + Noise.SCALE, time, squared, claimed, variance, dimensions, 1.0 / density)
+    factor = max(scale(mem, own + Noise.SCALE), 1.0) + unknown / claimed
     if has_displacement(kind):
         fitted = _has_fitted(mem, own, kind, time)
         if _fits(mem, own, kind, time, since, nis, change_nis, slips):
@@ -164,7 +175,7 @@ def _is_uncompared(mem, r, at):
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
     return ((is_of_velocity(kind) or kind == Kind.HEADING) and fix != 0.0 and time - fix < LONGEST_WITHOUT_FIX
-            and not displacement.is_compared(mem, seen_of(mem, r, at)))
+            and not displacement.is_compared(mem, input_at(mem, r, at)))
 
 
 @njit(_nrt=False)
@@ -173,7 +184,7 @@ def _before_comparison(mem, at, own, since):
     kind, first, correlation = int(mem[at + Event.KIND]), UNCOMPARED_SIGMA, SPEED_CORRELATION
     if kind == Kind.HEADING:  # what is wrong with it does not change from one to the next
         first, correlation = UNCOMPARED_HEADING_SIGMA, FIELD_CORRELATION
-    mem[own + Scale.TIME] = mem[at + Event.TIME]
+    mem[own + Noise.SCALE + Scale.TIME] = mem[at + Event.TIME]
     # a velocity may fit by its size and point elsewhere
     gate = REFUSE_ALL if kind == Kind.VELOCITY else ROBUST
     return max(1.0, first**2 / mem[at + Event.R_NN]), _repeated(correlation, since), gate
@@ -198,9 +209,9 @@ def _change(mem, r, at, n, own, noise, variance, since):
     """
     kind = mem[at + Event.KIND]
     gain = _gain(kind, since)
-    is_judged = is_forward_speed(kind) and PRIOR - mem[own + Scale.REDUCED] < LARGEST_LOG_VARIANCE
-    change = _first(mem, r, at, n) - mem[own + Seen.LEVEL] if is_judged else 0.0
-    return change**2, noise * 2.0 / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
+    is_judged = is_forward_speed(kind) and PRIOR - mem[own + Noise.SCALE + Scale.REDUCED] < LARGEST_LOG_VARIANCE
+    change = _first(mem, r, at, n) - mem[own + Fit.LEVEL] if is_judged else 0.0
+    return change**2, noise * 2.0 / (2.0 - gain) + abs(variance - mem[own + Fit.LEVEL_VARIANCE])
 
 
 @njit(_nrt=False)
@@ -210,20 +221,20 @@ def _step(mem, r, at, n, own, noise, variance, since):
     The yaw of the vehicle makes no step, so that of a heading is another offset: antennas that have turned, a receiver
     that has resolved its phases anew, a compass that was calibrated. noise: variance of the input.
     """
-    fitted, time = mem[own + Seen.FITTED], mem[at + Event.TIME]
-    if fitted <= 0.0 or since <= 0.0 or PRIOR - mem[own + Scale.REDUCED] > LARGEST_LOG_VARIANCE:
+    fitted, time = mem[own + Fit.TIME], mem[at + Event.TIME]
+    if fitted <= 0.0 or since <= 0.0 or PRIOR - mem[own + Noise.SCALE + Scale.REDUCED] > LARGEST_LOG_VARIANCE:
         return 0.0
     count = int((time - fitted) / since + 0.5)  # at equal intervals; after a missing message the sum begins anew
     if count <= 1:
-        mem[own + Seen.STEP] = 0.0
-    change, before = _first(mem, r, at, n) - mem[own + Seen.LEVEL], mem[own + Seen.STEP]
-    mem[own + Seen.STEP] += change
+        mem[own + Fit.STEP] = 0.0
+    change, before = _first(mem, r, at, n) - mem[own + Fit.LEVEL], mem[own + Fit.STEP]
+    mem[own + Fit.STEP] += change
     if not 2 <= count <= LONGEST_STEP:
         return 0.0
-    step, gain = mem[own + Seen.STEP] / count, _gain(Kind.HEADING, since)
+    step, gain = mem[own + Fit.STEP] / count, _gain(Kind.HEADING, since)
     if (change - before / (count - 1)) ** 2 > (count - 1) * count * noise:
         return 0.0  # it scatters: not within count - 1 sigma; the fewer they are, the more they must agree
-    expected = noise / count + noise * gain / (2.0 - gain) + abs(variance - mem[own + Seen.LEVEL_VARIANCE])
+    expected = noise / count + noise * gain / (2.0 - gain) + abs(variance - mem[own + Fit.LEVEL_VARIANCE])
     return step if step**2 > NARROW_GATE**2 * expected else 0.0
 
 
@@ -244,9 +255,9 @@ def _note_fitted(mem, r, at, n, own, variance, since):
     """Note that the input fits: time, level of its innovation and variance of the state."""
     kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
     gain = _gain(kind, since) if _has_fitted(mem, own, kind, time) else 1.0
-    mem[own + Seen.FITTED] = time
-    mem[own + Seen.LEVEL] += gain * (_first(mem, r, at, n) - mem[own + Seen.LEVEL])
-    mem[own + Seen.LEVEL_VARIANCE] += gain * (variance - mem[own + Seen.LEVEL_VARIANCE])
+    mem[own + Fit.TIME] = time
+    mem[own + Fit.LEVEL] += gain * (_first(mem, r, at, n) - mem[own + Fit.LEVEL])
+    mem[own + Fit.LEVEL_VARIANCE] += gain * (variance - mem[own + Fit.LEVEL_VARIANCE])
 
 
 @njit(_nrt=False)
@@ -259,7 +270,7 @@ def _alternates(mem, r, at, n, own, squared):
     first = _first(mem, r, at, n)
     if mem[at + Event.KIND] == Kind.VELOCITY and first * first < squared:
         return False  # it is off mainly to the east, and the sign of the northern component is chance
-    side, other = (Seen.ABOVE, Seen.BELOW) if first > 0.0 else (Seen.BELOW, Seen.ABOVE)
+    side, other = (Fit.ABOVE, Fit.BELOW) if first > 0.0 else (Fit.BELOW, Fit.ABOVE)
     time = mem[at + Event.TIME]
     mem[own + side] = time
     return mem[own + other] > 0.0 and time - mem[own + other] < LONGEST_SLIP
@@ -277,14 +288,14 @@ def _has_fitted(mem, own, kind, time):
     """Whether a speed, velocity, odometry or heading has fitted so lately that what is far off now is wrong: so soon no
     IMU is wrong by as much."""
     longest = LONGEST_SLIP if is_of_velocity(kind) else LONGEST_JUMP
-    return mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < longest
+    return mem[own + Fit.TIME] != 0.0 and time - mem[own + Fit.TIME] < longest
 
 
 @njit(_nrt=False)
 def _goes_on_slipping(mem, own, kind, time, since):
     """Whether a speed, velocity or odometry that has fitted lately has not done so for SHORTEST_SLIP."""
     return (is_of_velocity(kind) and _has_fitted(mem, own, kind, time)
-            and time - mem[own + Seen.FITTED] > max(SHORTEST_SLIP, FOLLOWS * since))
+            and time - mem[own + Fit.TIME] > max(SHORTEST_SLIP, FOLLOWS * since))
 
 
 @njit(_nrt=False)
@@ -304,7 +315,7 @@ def _fits(mem, own, kind, time, since, nis, change_nis, slips):
     change of the innovation has to fit, too. nis, change_nis: squares of both over their variances."""
     if not _has_fitted(mem, own, kind, time):
         return nis < ROBUST**2
-    follows = time - mem[own + Seen.FITTED] < FOLLOWS * since  # the message before this one has fitted
+    follows = time - mem[own + Fit.TIME] < FOLLOWS * since  # the message before this one has fitted
     return nis < ROBUST**2 and not slips and (follows or change_nis < ROBUST**2)
 
 
@@ -313,7 +324,7 @@ def _comes_back(mem, own, kind, time, since):
     """Whether a speed, velocity, odometry or heading that fits has not done so in messages before this one."""
     if _has_fitted(mem, own, kind, time):
         return _goes_on_slipping(mem, own, kind, time, since)
-    return mem[own + Seen.FITTED] > 0.0 and since < displacement.LONGEST_PAUSE
+    return mem[own + Fit.TIME] > 0.0 and since < displacement.LONGEST_PAUSE
 
 
 @njit(_nrt=False)
@@ -322,11 +333,11 @@ def _refuses(mem, at, n, own, since, squared, far_off, slips, confirmed):
     than a slip lasts while fixes confirm the state, by more than its constant error, or its time offset, can be. The
     latter makes it wrong until it `_is_right_again`. squared: of the innovation."""
     kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
-    if confirmed and far_off and not slips and mem[own + Seen.FITTED] > 0.0:  # no slip lasts for so long
+    if confirmed and far_off and not slips and mem[own + Fit.TIME] > 0.0:  # no slip lasts for so long
         if _may_be_another_constant(mem, at, n, squared):
             _forget_error(mem, at, n, own, squared)
             return False
-        mem[own + Seen.FITTED] = -time
+        mem[own + Fit.TIME] = -time
         displacement.forget(mem, own)
         return True
     if far_off and kind != Kind.VELOCITY and _goes_on_slipping(mem, own, kind, time, since):
@@ -357,20 +368,20 @@ def _is_right_again(mem, r, at, n, own, squared, expected):
     squared, expected: of the innovation, and its variance.
     """
     kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
-    if mem[own + Seen.FITTED] == -time:  # its displacements are wrong
+    if mem[own + Fit.TIME] == -time:  # its displacements are wrong
         return False
     if is_of_heading(kind):  # the state's heading may be what it has made of it
         return displacement.is_compared(mem, own)
     if squared > ROBUST**2 * expected and not _may_be_another_constant(mem, at, n, squared):
-        mem[own + Seen.FITTED] = -time
+        mem[own + Fit.TIME] = -time
         displacement.interrupt(mem, own)
         return False
     if displacement.is_compared(mem, own):
         return True
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
     if ROBUST**2 * expected > (LARGEST_ERROR * speed) ** 2:
-        mem[own + Seen.FITTED] = -time
-    if time + mem[own + Seen.FITTED] < RIGHT_AGAIN_AFTER:
+        mem[own + Fit.TIME] = -time
+    if time + mem[own + Fit.TIME] < RIGHT_AGAIN_AFTER:
         return False
     displacement.accept(mem, own)
     return True
@@ -395,9 +406,9 @@ def _forget_error(mem, at, n, own, squared):
         mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error] += min(displacement.squared_share(mem, own), LARGEST_ERROR**2)
     if error >= 0 or _time_offset(mem, at) >= 0:
         _raise_error(mem, at, n, squared)
-        mem[own + Seen.ABOVE] = mem[own + Seen.BELOW] = 0.0
+        mem[own + Fit.ABOVE] = mem[own + Fit.BELOW] = 0.0
         displacement.forget_share(mem, own)
-        reopen(mem, own, 1.0)
+        reopen(mem, own + Noise.SCALE, 1.0)
 
 
 @njit(_nrt=False)
@@ -432,10 +443,10 @@ def _is_elsewhere(mem, own, time, squared, expected, confirmed):
     squared, expected: mean square of its innovation, m^2. confirmed: whether fixes come.
     """
     if confirmed and squared > max(NARROW_GATE**2 * expected, 0.5 * receiver.GATE_FLOOR**2):
-        mem[own + Seen.FITTED] = -time
+        mem[own + Fit.TIME] = -time
     elif confirmed and squared < ROBUST**2 * expected:
-        mem[own + Seen.FITTED] = time
-    return mem[own + Seen.FITTED] < 0.0 and time + mem[own + Seen.FITTED] < LONGEST_JUMP
+        mem[own + Fit.TIME] = time
+    return mem[own + Fit.TIME] < 0.0 and time + mem[own + Fit.TIME] < LONGEST_JUMP
 
 
 @njit(_nrt=False)
@@ -467,28 +478,28 @@ def _has_constants(kind):
 @njit(_nrt=False)
 def is_contradicted(mem, r, at):
     """Whether the input of the event at `at` has contradicted the fixes, and has not been right again since then."""
-    return has_displacement(int(mem[at + Event.KIND])) and mem[seen_of(mem, r, at) + Seen.FITTED] < 0.0
+    return has_displacement(int(mem[at + Event.KIND])) and mem[input_at(mem, r, at) + Fit.TIME] < 0.0
 
 
 @njit(_nrt=False)
 def _note_wrong_displacement(mem, r, at, n):
     """Note whether the displacements of the input of the event at `at` contradict those of the fixes, by more than its
     constant error, as estimated, may still be off; P is in the scratch."""
-    kind, own = int(mem[at + Event.KIND]), seen_of(mem, r, at)
+    kind, own = int(mem[at + Event.KIND]), input_at(mem, r, at)
     if not has_displacement(kind):
         return
     error, tolerated = _constant_error(mem, at), displacement.TOLERATED_SHARE
     if error >= 0:
         tolerated = displacement.SHARE_SIGMAS * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
-        if mem[own + Seen.FITTED] < 0.0:  # refused already: it may be one with another constant error
+        if mem[own + Fit.TIME] < 0.0:  # refused already: it may be one with another constant error
             tolerated = max(tolerated, LARGEST_ERROR)
-    begun_anew = mem[own + Seen.FITTED] >= 0.0 and mem[own + Seen.COMPARED] < 0.0
+    begun_anew = mem[own + Fit.TIME] >= 0.0 and mem[own + Integral.COMPARED] < 0.0
     if begun_anew or displacement.differs(mem, own, kind, tolerated):
         # it has misled the state where it was used since the fix before: one that was refused has not
-        fitted = mem[own + Seen.FITTED]
-        if fitted > max(mem[own + Seen.START] - displacement.LONGEST_PAUSE, 0.0):
-            contradiction.use_all_fixes(mem, r, fitted - mem[own + Seen.COMPARED])
-        mem[own + Seen.FITTED] = -mem[at + Event.TIME]
+        fitted = mem[own + Fit.TIME]
+        if fitted > max(mem[own + Integral.START] - displacement.LONGEST_PAUSE, 0.0):
+            contradiction.use_all_fixes(mem, r, fitted - mem[own + Integral.COMPARED])
+        mem[own + Fit.TIME] = -mem[at + Event.TIME]
 
 
 @njit(_nrt=False)
@@ -502,7 +513,7 @@ def integrate_displacement(mem, r, at, n, c, sample):
     yaw_variance, density = 0.0, SPEED_CORRELATION * mem[at + Event.R_NN]
     kind, error = mem[at + Event.KIND], _constant_error(mem, at)
     known = mem[r + NAV + error] if error >= 0 else 0.0
-    unfollowed = mem[seen_of(mem, r, at) + Seen.UNFOLLOWED]
+    unfollowed = mem[input_at(mem, r, at) + LowPass.UNFOLLOWED]
     if kind == Kind.VELOCITY:  # it has directions of its own
         v_n, v_e = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
     elif is_of_heading(kind):  # a displacement along the heading
@@ -525,11 +536,11 @@ def integrate_displacement(mem, r, at, n, c, sample):
     if offset > 0 and not is_of_heading(kind):
         late = mem[r + NAV + offset]
         late_variance = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * offset]
-    displacement.integrate(mem, r, seen_of(mem, r, at), mem[at + Event.TIME], v_n + north, v_e + east, density,
+    displacement.integrate(mem, r, input_at(mem, r, at), mem[at + Event.TIME], v_n + north, v_e + east, density,
                            yaw_variance, late, late_variance)
     goes = abs(body_velocity(mem, r, vehicle_to_level(mem, r, c), 0))
     if kind != Kind.VELOCITY and math.hypot(north, east) > max(goes, SLOWEST_SPEED):
-        displacement.interrupt(mem, seen_of(mem, r, at))  # a turn on the spot moves the antenna, and fits any speed
+        displacement.interrupt(mem, input_at(mem, r, at))  # a turn on the spot moves the antenna, and fits any speed
 
 
 @njit(_nrt=False)

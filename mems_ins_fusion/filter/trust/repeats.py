@@ -15,14 +15,22 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..measurements.geometry import body_to_level, body_velocity, yaw_of
-from ..memory import ROW, Event, Head, Kind, Nav, is_of_heading, is_of_velocity
-from .scale import Seen, seen_of
+from ..memory import INPUT, ROW, Event, Head, Kind, Nav, input_at, is_of_heading, is_of_velocity
 from .standstill import moves
 
 #: of a state
 Repeats = ROW.place(
     'Repeats',
     STUCK=1)  # 1: the main receiver has sent the same position since a time when the vehicle moved
+#: of an input
+Latest = INPUT.place(
+    'Latest',
+    VALUE=2,  # two values of the latest message,
+    TIME=1,  # s, and its time
+    GAINED=1,  # m/s or rad, change of the state since its value is the same,
+    LEFT=1,  # m/s or rad, value of the state after the latest message,
+    SINCE=1,  # s, time since which its value is the same
+    DIFFERENT=1)  # number of messages in a row that differ from the previous one
 #: m/s, change that a rounded speed may hide: a few steps of the coarsest ones
 ROUNDED_SPEED = 1.0
 #: m/s^2, error of the acceleration by the inertial sensors: a tilt of two degrees
@@ -55,47 +63,47 @@ def is_stuck(mem, r, at):
         elif moves(mem, r):
             mem[r + Repeats.STUCK] = 1.0
         return mem[r + Repeats.STUCK] != 0.0
-    own = seen_of(mem, r, at)
-    same = mem[at + Event.VALUE] == mem[own + Seen.LATEST]
+    own = input_at(mem, r, at)
+    same = mem[at + Event.VALUE] == mem[own + Latest.VALUE]
     if kind == Kind.PLACE or kind == Kind.VELOCITY or kind == Kind.MAGNETIC:
-        same = _repeats(mem, at, own + Seen.LATEST)
-        mem[own + Seen.LATEST + 1] = mem[at + Event.VALUE + 1]
-    mem[own + Seen.LATEST] = mem[at + Event.VALUE]
-    since, mem[own + Seen.LATEST_TIME] = mem[at + Event.TIME] - mem[own + Seen.LATEST_TIME], mem[at + Event.TIME]
+        same = _repeats(mem, at, own + Latest.VALUE)
+        mem[own + Latest.VALUE + 1] = mem[at + Event.VALUE + 1]
+    mem[own + Latest.VALUE] = mem[at + Event.VALUE]
+    since, mem[own + Latest.TIME] = mem[at + Event.TIME] - mem[own + Latest.TIME], mem[at + Event.TIME]
     moving = moves(mem, r)
     if moving:
         _count(mem, own, same)
     if not same:
-        mem[own + Seen.SINCE], mem[own + Seen.GAINED] = mem[at + Event.TIME], 0.0
+        mem[own + Latest.SINCE], mem[own + Latest.GAINED] = mem[at + Event.TIME], 0.0
         return False
     never_repeats = kind == Kind.PLACE or kind == Kind.VELOCITY
-    if moving and never_repeats or mem[own + Seen.DIFFERENT] >= LIVELY + FEWEST_REPEATED:
-        mem[own + Seen.GAINED] = UNEXPLAINED
-    if is_of_velocity(kind) and mem[own + Seen.GAINED] != UNEXPLAINED:  # the mark stays until the value changes
-        gained = _predicted(mem, r, kind) - mem[own + Seen.LEFT]
-        mem[own + Seen.GAINED] = mem[own + Seen.GAINED] * math.exp(-max(since, 0.0) / CHANGE_MEMORY) + gained
-        if abs(mem[own + Seen.GAINED]) > ROUNDED_SPEED + TILT_ACCELERATION * CHANGE_MEMORY:
-            mem[own + Seen.GAINED] = UNEXPLAINED
-    return mem[own + Seen.GAINED] == UNEXPLAINED
+    if moving and never_repeats or mem[own + Latest.DIFFERENT] >= LIVELY + FEWEST_REPEATED:
+        mem[own + Latest.GAINED] = UNEXPLAINED
+    if is_of_velocity(kind) and mem[own + Latest.GAINED] != UNEXPLAINED:  # the mark stays until the value changes
+        gained = _predicted(mem, r, kind) - mem[own + Latest.LEFT]
+        mem[own + Latest.GAINED] = mem[own + Latest.GAINED] * math.exp(-max(since, 0.0) / CHANGE_MEMORY) + gained
+        if abs(mem[own + Latest.GAINED]) > ROUNDED_SPEED + TILT_ACCELERATION * CHANGE_MEMORY:
+            mem[own + Latest.GAINED] = UNEXPLAINED
+    return mem[own + Latest.GAINED] == UNEXPLAINED
 
 
 @njit(_nrt=False)
 def _count(mem, own, same):
     """Count the messages in a row that differ from the previous one, up to LIVELY; then those that are the same."""
-    count = mem[own + Seen.DIFFERENT]
+    count = mem[own + Latest.DIFFERENT]
     if same:
-        mem[own + Seen.DIFFERENT] = count + 1.0 if count >= LIVELY else 0.0
+        mem[own + Latest.DIFFERENT] = count + 1.0 if count >= LIVELY else 0.0
     else:
-        mem[own + Seen.DIFFERENT] = min(count + 1.0, LIVELY) if count <= LIVELY else 0.0
+        mem[own + Latest.DIFFERENT] = min(count + 1.0, LIVELY) if count <= LIVELY else 0.0
 
 
 @njit(_nrt=False)
 def unknown(mem, own, time):
     """Variance, m^2/s^2, to be added to that of a speed or odometry at `time`, s, because it has not changed for long.
     None for a speed of zero, as vehicles stand."""
-    if mem[own + Seen.LATEST] == 0.0:
+    if mem[own + Latest.VALUE] == 0.0:
         return 0.0
-    return (AGEING * max(time - mem[own + Seen.SINCE] - LONGEST_STEADY, 0.0)) ** 2
+    return (AGEING * max(time - mem[own + Latest.SINCE] - LONGEST_STEADY, 0.0)) ** 2
 
 
 @njit(_nrt=False)
@@ -103,7 +111,7 @@ def note(mem, r, at):
     """Keep the value of the quantity that the event at `at` measures, by the corrected state at r."""
     kind = int(mem[at + Event.KIND])
     if is_of_velocity(kind) or is_of_heading(kind):
-        mem[seen_of(mem, r, at) + Seen.LEFT] = _predicted(mem, r, kind)
+        mem[input_at(mem, r, at) + Latest.LEFT] = _predicted(mem, r, kind)
 
 
 @njit(_nrt=False)

@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import HEAD, INPUT_SIZE, Event, Head
+from ..memory import HEAD, INPUT
 
 
 class _Scale(NamedTuple):
@@ -48,58 +48,8 @@ class _Scale(NamedTuple):
 
 
 Scale = _Scale()
-
-
-class _Seen(NamedTuple):
-    """Statistics of one input (all but the fixes): columns at the end of a state's row."""
-
-    SCALE: int = 0  # `Scale` of its noise, for `learn_changes`
-    # displacement.py
-    DISPLACEMENT: int = 6  # m, north and east, integral of its velocity since the fix START,
-    DISPLACEMENT_TIME: int = 8  # s, end of the integral; 0: nothing was integrated
-    START: int = 9  # time (s; 0: none), latitude and longitude (rad) of that fix
-    LAST: int = 12  # m/s, latest velocity, north and east
-    VARIANCE: int = 14  # m^2, of the displacement
-    DISTANCE: int = 15  # m, north and east, from the antenna to the integral: estimate minus measurement at START,
-    DISTANCE_VARIANCE: int = 17  # m^2, variance of the estimate,
-    COVARIANCE: int = 18  # m, and its covariance with the share
-    SHARE: int = 20  # by which its displacements are longer than those of the antenna, and to the side,
-    REDUCED: int = 22  # and `displacement.SHARE_PRIOR` minus its variance
-    COMPARED: int = 23  # s, time at which the comparison was complete; 0: not yet; -1: begun anew after it was wrong
-    REJECTED: int = 24  # number of fixes in a row that were not compared
-    FITTED: int = 25  # s, time of its latest value that fitted; negative: it is wrong, and when that was seen
-    # repeats.py
-    LATEST: int = 26  # two values of the latest message,
-    LATEST_TIME: int = 28  # s, and its time
-    GAINED: int = 29  # m/s or rad, change of the state since its value is the same,
-    LEFT: int = 30  # m/s or rad, value of the state after the latest message,
-    SINCE: int = 31  # s, time since which its value is the same
-    DIFFERENT: int = 32  # number of messages in a row that differ from the previous one
-    # clock_jump.py
-    JUMP: int = 33  # jump of its time offset over its variance, 1/s, and 1 / variance, 1/s^2, before the state has
-    # followed it, and the same after that
-    OFFSET: int = 37  # s, its time offset at its latest message,
-    OFFSET_VARIANCE: int = 38  # s^2, and the variance of that
-    FOLLOWED: int = 39  # part of the signature that the state has followed, two components
-    # displacement.py
-    TRAVELLED: int = 41  # m, north and east, displacement of the filter since START
-    BEGAN: int = 43  # m/s, velocity of the input at START, north and east,
-    LATE: int = 45  # m^2, variance of the displacement by the error of its time offset
-    # measurements/low_pass.py
-    UNFOLLOWED: int = 46  # m/s or rad, lag of its low pass, and the time of that, s
-    UNFOLLOWED_TURN: int = 48  # rad/s, the same of its turn rate, and the time of that, s
-    TURN: int = 50  # rad/s, turn rate of the gyroscopes at its latest message
-    # inputs.py
-    ABOVE: int = 51  # s, time of its latest value far above the expected one,
-    BELOW: int = 52  # s, and of the latest one far below it
-    LEVEL: int = 53  # m/s or rad, low-passed innovation of the values that fitted,
-    LEVEL_VARIANCE: int = 54  # and the low-passed part of their variance that is the state's
-    STEP: int = 55  # rad, sum of the changes of a heading's innovation since it fitted
-    SIZE: int = 56
-
-
-Seen = _Seen()
-assert Seen.SIZE == INPUT_SIZE
+#: of an input but the fixes: the scale of its noise, for `learn_changes`, with the time of its latest message
+Noise = INPUT.place('Noise', SCALE=Scale.CHANGING_SIZE)
 Inputs = HEAD.place('Inputs', COUNT=1)  # number of inputs without the fixes
 #: prior variance of the logarithm: a claimed sigma is wrong by a factor of three (one standard deviation)
 PRIOR = 4.8
@@ -134,12 +84,6 @@ OUTLIER_DENSITY = OUTLIER_SHARE / 14.0
 NODES = tuple(0.5 * i for i in range(-7, 8))
 #: and their weights: trapezoidal rule
 WEIGHTS = tuple(0.5 / math.sqrt(2.0 * math.pi) * math.exp(-0.5 * node * node) for node in NODES)
-
-
-@njit(_nrt=False)
-def seen_of(mem, r, at):
-    """Position of the statistics (`Seen`) of the input of the event at `at`, in the state at r."""
-    return r + int(mem[Head.WIDTH]) - Seen.SIZE * int(mem[at + Event.INPUT])
 
 
 @njit(_nrt=False)
