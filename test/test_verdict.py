@@ -192,6 +192,7 @@ def test_the_words_hold_the_interval_and_its_unit():
     low, high = change.interval()
     assert f'{-high:.2g}' in text and f'{-low:.2g}' in text
     assert span_text(-1.0, 2.0) == '1 m less to 2 m more' and span_text(0.5, 1.5) == '0.50 to 1.5 m more'
+    assert span_text(-184.3, -181.9) == '182 to 184 m less'  # not 180 to 180
     assert span_text(0.0, 0.0) == span_text(-0.004, 0.0) == 'the same' and span_text(-0.004, 0.02) != 'the same'
     # and the other way round, the ratio is the inverse one
     turned = change.turned.interval()
