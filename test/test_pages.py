@@ -421,4 +421,4 @@ def test_a_heading_is_not_drawn_from_north_to_north():
 
 def test_a_change_is_of_the_second_against_the_first():
     [row] = rows_of(result('a', np.full(100, 2.0)), result('b', np.full(100, 1.0)))
-    assert row.change.sign() == -1 and row.change.interval() == (-1.0, -1.0)
+    assert row.change.sign() == -1 and row.change.interval() == pytest.approx((-1.0, -1.0))

@@ -340,3 +340,11 @@ def test_what_is_measured_through_a_low_pass_lags_as_a_low_pass_does(drive, name
     # then it is what comes out of that, and not what goes in
     off = np.abs(lagging - smooth).max()
     assert off < 0.05 * np.abs(plain - smooth).max()
+
+
+def test_effects_stand_behind_one_option_or_several():
+    from mems_ins_fusion.cli.simulate import _parser
+
+    # one option with both was refused as 'unrecognized arguments'
+    said = _parser().parse_args('--output x --effect tilt.roll=0.1 tilt.pitch=0.2 --effect imu_jitter=1 --rtk'.split())
+    assert said.effect == ['tilt.roll=0.1', 'tilt.pitch=0.2', 'imu_jitter=1'] and said.rtk

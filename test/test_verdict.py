@@ -189,11 +189,15 @@ def test_the_words_hold_the_interval_and_its_unit():
     text = change_text(change, 0.95)
     assert text.startswith('in 30 s without fixes the error is 5.2 m instead of 7.5 m (95 %: ')
     assert text.endswith(' m less)')
-    low, high = paired([4.0, 5.5, 5.0, 6.5], [6.0, 7.0, 8.0, 9.0], 4).interval(0.95)
+    low, high = change.interval()
     assert f'{-high:.2g}' in text and f'{-low:.2g}' in text
     assert span_text(-1.0, 2.0) == '1 m less to 2 m more' and span_text(0.5, 1.5) == '0.50 to 1.5 m more'
+    assert span_text(-184.3, -181.9) == '182 to 184 m less'  # not 180 to 180
     assert span_text(0.0, 0.0) == span_text(-0.004, 0.0) == 'the same' and span_text(-0.004, 0.02) != 'the same'
-    assert change.turned.before == change.after and change.turned.interval() == pytest.approx((-high, -low))
+    # and the other way round, the ratio is the inverse one
+    turned = change.turned.interval()
+    assert change.turned.before == change.after and (turned[0] > 0) == (high < 0)
+    assert (1 + turned[0] / 5.25) * (1 + high / 7.5) == pytest.approx(1.0)
     content = verdict_json(decide([change]))
     assert content['answer'] in ('better', 'cannot_tell') and content['because']
     # errors with all fixes and with few are two rows, which a program can tell apart
@@ -489,3 +493,55 @@ def test_a_time_offset_that_the_file_does_not_have_is_told_as_such(lag, value, s
     line = summary_line(SimpleNamespace(mounting=mounting, values={
         'imu.acceleration_unit': 'g', 'imu.rate_unit': 'rad/s', 'gnss.time_offset': value}))
     assert line.endswith(said)
+
+
+def skewed(rng, n, overlap, scatter, other=None, ratio=1.0):
+    """Largest errors of n outages, before and after: lognormal, those before with the standard deviation `scatter` of
+    the logarithm, with a correlation of 0.7, and of the means with `ratio`."""
+    z = rng.standard_normal((2, n + overlap - 1))
+    found = []
+    for mean, sigma, log in ((1.0, scatter, z[0]), (ratio, other or scatter, 0.7 * z[0] + np.sqrt(0.51) * z[1])):
+        each = mean * np.exp(sigma * log - 0.5 * sigma**2)
+        found.append(np.array([each[i:i + overlap].mean() for i in range(n)]))
+    return found
+
+
+@pytest.mark.parametrize('scatter, other, ratio', [(0.5, None, 1.0), (1.0, None, 1.0), (0.5, None, 0.5),
+                                                   (1.0, 0.5, 0.1)])
+@pytest.mark.parametrize('n, overlap', [(5, 1), (12, 2), (40, 3)])
+def test_an_interval_of_skewed_errors_holds_the_true_change(n, overlap, scatter, other, ratio):
+    # given 300 drives of 5 to 40 outages with errors as of a Rayleigh distribution, or more skewed
+    rng, drives = np.random.default_rng(n), 300
+    missed = changed = 0
+    for _ in range(drives):
+        change = change_in_outages(30.0, *skewed(rng, n, overlap, scatter, other, ratio), n // overlap)
+        if change.difference is not None:
+            low, high = change.difference.interval()
+            missed += not low < np.log(ratio) < high
+            changed += change.sign() * (1 if ratio == 1.0 else 0)
+    # then one in twenty intervals misses the true ratio of the means, by four binomial sigmas
+    most = 0.05 * drives + 4 * np.sqrt(0.05 * 0.95 * drives)
+    assert missed <= most and abs(changed) <= most
+
+
+def test_a_filter_that_is_better_in_each_of_twelve_outages_is_better():
+    # given the errors of a velocity that is kept, of 12 outages: tens of metres on straight roads, hundreds with a turn
+    rng = np.random.default_rng(4)
+    kept = np.array([9, 12, 15, 18, 21, 27, 40, 60, 95, 270, 480, 730.0])
+    filtered = np.exp(0.5 * rng.standard_normal(12)) * 4.5
+    verdict = decide([change_in_outages(30.0, rng.permutation(kept), filtered, 12)] * 3)
+    # then it is better, though the difference of the means is not certain, and the interval is between none and all
+    assert paired(filtered, kept).interval(verdict.level)[1] > 0
+    assert verdict.answer == BETTER
+    assert -kept.mean() < verdict.shown.interval(verdict.level)[0]
+    # and one that is worse in most, or in the mean only, is not
+    assert decide([change_in_outages(30.0, filtered, filtered * np.where(np.arange(12) < 9, 0.8, 4.0), 12)]).answer == \
+        CANNOT_TELL
+
+
+def test_errors_near_zero_count_as_a_centimetre():
+    # given outages at a standstill: nothing that a user feels, though a thousandth of the error before
+    still = np.full(12, 0.004)
+    change = change_in_outages(30.0, still, still / 1000, 12)
+    assert change.sign() == 0 and change.interval() == (0.0, 0.0)
+    assert change_in_outages(30.0, 0 * still, 0 * still, 12).interval() == (0.0, 0.0)

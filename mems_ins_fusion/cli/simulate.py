@@ -230,7 +230,8 @@ def _parser():
     add('--standstill', type=float, default=25.0, metavar='S', help='at the start (default %(default)g)')
     add('--static', action='store_true', help='the vehicle never moves: a recording for characterize')
     add('--outage', action='append', default=[], metavar='START:STOP', help='seconds without fixes; repeatable')
-    add('--effect', action='append', default=[], metavar='NAME[.PARAM]=VALUE', help='repeatable; SI units')
+    add('--effect', action='extend', nargs='+', default=[], metavar='NAME[.PARAM]=VALUE',
+        help='one or several, repeatable; SI units')
     return parser
 
 

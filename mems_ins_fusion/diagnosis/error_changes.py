@@ -6,8 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..evaluation.intervals import LEVEL, Difference, effective_number, paired
-from ..evaluation.verdict import BETTER, CANNOT_TELL, Change, Verdict, change_in_outages, change_with_fixes, decide
+from ..evaluation.intervals import LEVEL, Difference, effective_number, log_ratios, paired, ratio
+from ..evaluation.verdict import (
+    BETTER,
+    CANNOT_TELL,
+    FELT,
+    Change,
+    Verdict,
+    change_in_outages,
+    change_with_fixes,
+    decide,
+)
 from .held_out import CERTAIN, HeldOut
 from .measured import MeasuredErrors, without_clock_of_truth
 
@@ -68,7 +77,7 @@ def candidates(before: MeasuredErrors, tried: Sequence[MeasuredErrors]) -> float
         if len(begin) > 2:
             errors = np.array([one.outages[k].max_error[np.isin(one.outages[k].begin, begin)]
                                for one in (before, *tried)])
-            found.append(effective_number(errors[1:] - errors[0]))
+            found.append(effective_number(np.array([log_ratios(e, errors[0], FELT) for e in errors[1:]])))
     return max(found, default=max(len(tried), 1))
 
 
@@ -89,7 +98,7 @@ def compared(before: MeasuredErrors, after: MeasuredErrors) -> list[dict]:
 
 def _compared(before: MeasuredErrors, after: MeasuredErrors) -> list[dict]:
     rows = [_row('with all fixes used, mean square error in m^2', before.continuous.stamp, after.continuous.stamp,
-                 before.continuous.horizontal**2, after.continuous.horizontal**2)
+                 before.continuous.horizontal**2, after.continuous.horizontal**2, power=2)
             | {'decides': before.independent}]
     for old, new in zip(before.outages, after.outages):
         row = _row(f'outages of {old.duration:g} s, mean largest error in m', old.begin, new.begin, old.max_error,
@@ -262,23 +271,24 @@ def rows_of_all_drives(comparison: Sequence[dict]) -> list[dict]:
             and 'drive' not in row]
 
 
-def _row(what: str, stamp, new_stamp, old, new, apart: float = np.inf) -> dict:
+def _row(what: str, stamp, new_stamp, old, new, apart: float = np.inf, power: int = 1) -> dict:
     """Means before and after over the epochs of both (kept: their part of those before), with the 95 % interval of the
-    paired difference."""
+    difference, given the mean before. power: old and new are errors in m to this power."""
     _, a, b = np.intersect1d(stamp, new_stamp, return_indices=True)
     row = {'what': what, 'count': len(a), 'kept': len(a) / len(stamp) if len(stamp) else 1.0}
     if not len(a):
         return row
     old, new = old[a], new[b]
     row |= {'before': float(old.mean()), 'after': float(new.mean())}
-    difference = paired(new, old, apart)
-    if difference is not None:
-        row |= {'difference': difference.mean, 'low': difference.low, 'high': difference.high, 'p': difference.p}
+    found = ratio(new, old, FELT**power, apart)
+    if found is not None:
+        low, high = (max(row['before'], FELT**power) * float(np.expm1(end)) for end in found.interval())
+        row |= {'difference': row['after'] - row['before'], 'low': low, 'high': high, 'p': found.p}
     return row
 
 
 def _tails(stamp, new_stamp, old, new, apart: float) -> dict:
     """Root mean squares before and after, and p that they are the same."""
-    row = _row('', stamp, new_stamp, old**2, new**2, apart)
+    row = _row('', stamp, new_stamp, old**2, new**2, apart, 2)
     return {'rms_before': row['before']**0.5, 'rms_after': row['after']**0.5} | (
         {'rms_p': row['p']} if 'p' in row else {})

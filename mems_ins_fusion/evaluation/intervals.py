@@ -1,4 +1,4 @@
-"""Confidence intervals of the mean of a time series of errors, of differences of means, and of shares.
+"""Confidence intervals of the mean of a time series of errors, of differences and ratios of means, and of shares.
 
 Successive errors are correlated, so n of them count as n / tau independent ones, with tau the sum of the
 autocorrelation (G. V. Bayley, J. M. Hammersley, "The effective number of independent observations in an autocorrelated
@@ -7,7 +7,7 @@ number of values gives valid intervals from a handful of outages to hours of fix
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import betainc, betaincinv, stdtr, stdtrit
@@ -50,7 +50,7 @@ def correlation_length(values: np.ndarray) -> float:
     """Sum of the autocorrelation of `values` (n,), both sides, up to its first zero: 1 sample for white noise."""
     n = len(values)
     centred = values - values.mean()
-    if n < 3 or not centred.any():
+    if n < 3 or np.ptp(values) == 0.0:
         return 1.0
     size = 2 ** int(np.ceil(np.log2(2 * n)))
     spectrum = np.fft.rfft(centred, size)
@@ -60,14 +60,14 @@ def correlation_length(values: np.ndarray) -> float:
     return float(1 + 2 * rho[1:negative[0] if len(negative) else n].sum())
 
 
-def mean_with_error(values: np.ndarray, apart: float = np.inf) -> Difference | None:
+def mean_with_error(values: np.ndarray, apart: float = np.inf, independent: bool = False) -> Difference | None:
     """The mean of `values` (n,), a stationary series, with its standard error; None where it is too short, or contains
-    a value that is not finite. apart: largest number of values that share no time."""
+    a value that is not finite. apart: largest number of values that share no time. independent: they have no order."""
     values = np.asarray(values, dtype=float)
     with np.errstate(over='ignore', invalid='ignore'):
         if len(values) < FEWEST or not np.isfinite(values @ values):  # also if the sum of squares overflows
             return None
-    count = min(len(values) / correlation_length(values), apart)
+    count = len(values) if independent else min(len(values) / correlation_length(values), apart)
     if count < FEWEST:
         return None
     return Difference(float(values.mean()), float(values.std(ddof=1) / np.sqrt(count)), float(count))
@@ -82,6 +82,39 @@ def interval_of_mean(values: np.ndarray, level: float = LEVEL) -> tuple[float, f
 def paired(first: np.ndarray, second: np.ndarray, apart: float = np.inf) -> Difference | None:
     """Difference of the means of two series (n,) at the same epochs, first minus second; None if they are too short."""
     return mean_with_error(np.asarray(first, dtype=float) - np.asarray(second, dtype=float), apart)
+
+
+def log_ratios(first: np.ndarray, second: np.ndarray, floor: float) -> np.ndarray:
+    """Pseudo-values (n,) of the logarithm of the ratio of the means of two series (n,) of errors: their mean is its
+    estimate, their scatter gives the standard error (J. W. Tukey's jackknife, 1958). floor: value to which smaller
+    errors are raised.
+    """
+    first, second = (np.maximum(np.asarray(values, dtype=float), floor) for values in (first, second))
+    n = len(first)
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        without_one = np.log((first.sum() - first) / (second.sum() - second))
+        values = n * np.log(first.sum() / second.sum()) - (n - 1) * without_one
+    return np.round(values, 9)  # the rounding errors of a constant ratio would look correlated
+
+
+def ratio(first: np.ndarray, second: np.ndarray, floor: float, apart: float = np.inf,
+          independent: bool = False) -> Difference | None:
+    """The logarithm of the ratio of the means of two series (n,) of errors, first over second, at the same epochs or,
+    `independent`, of units without an order; None if they are too short. apart: as in `mean_with_error`.
+
+    Errors are positive and skewed: a few large ones make both a mean and its standard error, so the interval of a
+    difference of two means is too wide where one of them is much larger, and reaches below an error of zero. The
+    logarithm of the ratio is nearly symmetric. It is of the means, not of the single errors: a filter that is better in
+    most outages and worse in the mean is not better. As a mean that few large errors make is known no better than from
+    so few, Student's t has as many values as would make it with equal weights (L. Kish, "Survey Sampling", 1965).
+    """
+    values = log_ratios(first, second, floor)
+    found = mean_with_error(values, apart, independent)
+    if found is None:
+        return None
+    weights = [w / w.max() for w in (np.maximum(first, floor), np.maximum(second, floor))]
+    equal = [float(w.sum() ** 2 / (w @ w)) for w in weights]
+    return replace(found, count=max(min(found.count, 0.5 * sum(equal)), 2.0))
 
 
 def interval_of_share(count: float, of: float, level: float = LEVEL) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..configuration.remaining import ANGLES, TIME_OFFSET, Remaining
-from .intervals import LEVEL, Difference, interval_of_share, mean_with_error, p_of_so_few, paired
+from .intervals import LEVEL, Difference, interval_of_share, mean_with_error, p_of_so_few, ratio
 from .metrics import rms
 
 BETTER, SAME, WORSE, CANNOT_TELL, NOT_USABLE = 'better', 'same', 'worse', 'cannot_tell', 'not_usable'
@@ -19,7 +19,7 @@ BETTER, SAME, WORSE, CANNOT_TELL, NOT_USABLE = 'better', 'same', 'worse', 'canno
 HEADLINE = 30.0
 #: share of the error: a smaller difference does not matter, even if it is significant. Chosen, not measured
 FELT_PART = 0.03
-#: m, the same as an absolute difference
+#: m, the same as an absolute difference; smaller errors count as this one in a ratio, which is not defined at zero
 FELT = 0.01
 #: share of the error: two errors are the same if the confidence interval of their difference is within this. Chosen
 ALIKE_PART = 0.1
@@ -45,8 +45,8 @@ class Change:
     """One error that a user feels, of two filters at the same epochs or in the same outages.
 
     duration: s without fixes; None: with fixes. before, after: m, the mean of the largest errors of `count` outages, or
-    the root mean square at `count` epochs. difference: after minus before, m, of squares in m^2; None where there are
-    too few to say. where: in which recording. every: s between fixes, 0 for all there are.
+    the root mean square at `count` epochs. difference: logarithm of the ratio of after to before, of mean squares with
+    fixes; None where there are too few to say. where: in which recording. every: s between fixes, 0 for all there are.
     """
 
     duration: float | None
@@ -58,13 +58,12 @@ class Change:
     every: float = 0.0
 
     def interval(self, level: float = LEVEL) -> tuple[float, float] | None:
-        """The confidence interval of after minus before, m; None where there are too few to say."""
+        """The confidence interval of after minus before, m, given this value of before; None where there are too few
+        to say."""
         if self.difference is None:
             return None
-        low, high = self.difference.interval(level)
-        if self.duration is None:
-            low, high = (float(np.sqrt(max(self.before**2 + d, 0.0))) - self.before for d in (low, high))
-        return low, high
+        low, high = (float(np.expm1(d / power_of(self.duration))) for d in self.difference.interval(level))
+        return max(self.before, FELT) * low, max(self.before, FELT) * high
 
     @property
     def turned(self) -> Change:
@@ -91,17 +90,22 @@ class Change:
         return interval is not None and max(map(abs, interval)) <= max(ALIKE_PART * self.before, ALIKE)
 
 
+def power_of(duration: float | None) -> int:
+    """Of errors whose mean is compared: largest errors in outages as they are, those with fixes squared."""
+    return 2 if duration is None else 1
+
+
 def change_in_outages(duration: float, before: np.ndarray, after: np.ndarray, apart: float, **known) -> Change:
     """The change in outages. before, after: (o,) m, largest errors of the same outages, of which `apart` do not
     overlap.
     """
-    return Change(duration, float(before.mean()), float(after.mean()), len(before), paired(after, before, apart),
+    return Change(duration, float(before.mean()), float(after.mean()), len(before), ratio(after, before, FELT, apart),
                   **known)
 
 
 def change_with_fixes(before: np.ndarray, after: np.ndarray, **known) -> Change:
     """The change with fixes. before, after: (m,) m, errors at the same epochs."""
-    return Change(None, rms(before), rms(after), len(before), paired(after**2, before**2), **known)
+    return Change(None, rms(before), rms(after), len(before), ratio(after**2, before**2, FELT**2), **known)
 
 
 @dataclass(frozen=True)

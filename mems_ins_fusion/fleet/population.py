@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..evaluation.intervals import FEWEST, Difference
-from ..evaluation.verdict import Change, Verdict, decide
+from ..evaluation.intervals import FEWEST, Difference, mean_with_error, ratio
+from ..evaluation.verdict import FELT, Change, Verdict, decide, power_of
 from ..recordings.motion import robust_sigma
 
 VEHICLES, RECORDINGS = 'vehicles', 'recordings'
@@ -82,9 +82,7 @@ def over_vehicles(values: dict[tuple[str, str], float]) -> tuple[np.ndarray, str
 
 def mean_of(values: np.ndarray) -> Difference | None:
     """The mean of independent `values` (n,) with its standard error; None if there are too few."""
-    if len(values) < FEWEST:
-        return None
-    return Difference(float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values))), float(len(values)))
+    return mean_with_error(values, independent=True)
 
 
 def change(where: ComparedQuantity, before: dict, after: dict) -> tuple[Change, str] | None:
@@ -95,11 +93,11 @@ def change(where: ComparedQuantity, before: dict, after: dict) -> tuple[Change, 
     both = sorted(before.keys() & after.keys())
     if not both:
         return None
-    power = 1 if where.without else 2  # averages are those of mean squares, not of their roots
-    differences, unit = over_vehicles({key: after[key]**power - before[key]**power for key in both})
-    means = [float(np.mean(over_vehicles({key: e[key]**power for key in both})[0]))**(1 / power)
-             for e in (before, after)]
-    return Change(where.without or None, *means, len(differences), mean_of(differences), where.words()), unit
+    power = power_of(where.without or None)  # averages are those of mean squares, not of their roots
+    (old, unit), (new, _) = (over_vehicles({key: e[key]**power for key in both}) for e in (before, after))
+    means = [float(np.mean(e))**(1 / power) for e in (old, new)]
+    found = ratio(new, old, FELT**power, independent=True)
+    return Change(where.without or None, *means, len(old), found, where.words()), unit
 
 
 def compared(before: Errors, after: Errors) -> tuple[Verdict, str]:

@@ -296,9 +296,9 @@ def report_page(first: Result, second: Result, rows: list[Row], answered: Answer
         html.folded('How to read this', html.bullets([
             'Both went through the same protocol; errors are estimate minus truth at the same epochs, outages those '
             'that begin at the same fix.',
-            'B against A: in 95 of 100 cases all true differences lie between these, by the paired differences of '
-            'squared errors, or of the largest errors of outages. Better means that this is below zero for one of them '
-            'and above zero for none.']))],
+            'B against A: in 95 of 100 cases all true differences lie between these, by the ratio of the mean squared '
+            'errors, or of the means of the largest errors of outages, times the error of A. Better means that this is '
+            'below zero for one of them and above zero for none.']))],
         script=script())
 
 

@@ -54,15 +54,15 @@ def span_text(low: float, high: float) -> str:
     """Interval of the difference of an error, m."""
     if _size(abs(low)) == _size(abs(high)) == '0':
         return 'the same'
-    if low >= 0:
-        return f'{_size(low)} to {_size(high)} m more'
-    if high <= 0:
-        return f'{_size(-high)} to {_size(-low)} m less'
+    if low >= 0 or high <= 0:
+        near, far = sorted((abs(low), abs(high)))
+        digits = 2 if _size(near) != _size(far) else 3
+        return f'{_size(near, digits)} to {_size(far, digits)} m {"more" if low >= 0 else "less"}'
     return f'{_size(-low)} m less to {_size(high)} m more'
 
 
-def _size(metres: float) -> str:
-    return number(metres, 2) if metres >= 0.005 else '0'
+def _size(metres: float, digits: int = 2) -> str:
+    return number(metres, digits) if metres >= 0.005 else '0'
 
 
 def counted_text(change: Change) -> str:
