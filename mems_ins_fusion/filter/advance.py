@@ -40,7 +40,7 @@ from .memory import (
     time_of,
 )
 from .prediction import UNKNOWN_TILT_SIGMA, allow_for_restart, predict
-from .trust import imu_faults
+from .trust import imu_faults, imu_share
 from .trust.extrapolation import Wrong
 from .trust.imu_faults import Fault, Imu
 from .trust.standstill import certain_speed, is_still, velocity_sigma
@@ -143,6 +143,8 @@ def take_sample(memory, samples, i):
     fault = imu_faults.check(memory, samples, i, dt, speed, wrong, before_fault)
     memory[sample + Sample.FAULT] = fault
     memory[sample + Sample.RATE_SCATTER] = memory[Imu.RATE_SCATTER]
+    if samples.shape[1] > 7:
+        imu_share.take_difference(memory, sample, samples, i)
     if fault == Fault.NONE:
         _condition(memory, sample)
     else:
@@ -195,9 +197,9 @@ def coast(memory, sample, r):
     c = body_to_level(memory, r)
     g = gravity(memory[r + Nav.LATITUDE], memory[r + Nav.HEIGHT])
     for axis in range(6):
-        # the reaction to gravity, and the estimated sensor errors, which the prediction subtracts again
+        # the reaction to gravity, and the estimated errors, which the prediction subtracts again
         state = channel_of(memory, axis)
-        error = memory[r + NAV + state] if state >= 0 else 0.0
+        error = memory[r + NAV + state] + imu_share.error(memory, r, sample, axis) if state >= 0 else 0.0
         memory[sample + Sample.F_X + axis] = error - g * c[6 + axis] if axis < 3 else error
 
 

@@ -37,6 +37,7 @@ SHARE_RATE = 0.025
 WANDER_FORCE = 0.06
 #: rad/s, the same of gyroscopes
 WANDER_RATE = 3e-4
+WANDER = np.repeat(np.array([WANDER_FORCE, WANDER_RATE]), 3)
 #: largest difference in standard deviations: an hour has some 7000 independent values of six components, and their
 #: distribution has tails
 SIGMAS = 8.0
@@ -70,6 +71,7 @@ def _compare_one(book, j, leader, stamp, value, between):
     """Compare `value` (6,) of IMU j with `between` (6,) of the leading one at the same time, `stamp` ns."""
     difference = value - book.offset[j] - between + book.offset[leader]
     shown = np.concatenate((difference, between))
+    book.latest[j] = difference
     dt = min(max((stamp - book.compared_at[j]) * 1e-9, 0.0), SILENT)
     if book.compared_at[j] == -1:
         dt, known = 0.0, 6 if book.averaged[j] else 0  # of an averaged IMU the low-passed difference begins at zero
@@ -125,6 +127,7 @@ def _differs(book, j, k, value, limit):
     difference is `value`, allowed is `limit`."""
     book.differs[j] += 1
     compare_anew(book, j, COMPARED_WINDOW - SLOW * 2.0**(book.differs[j] - 1))
+    book.differing[j] = book.known[j]
     say(book, DIFFERS, j, k, value, limit)
 
 
@@ -164,6 +167,8 @@ def _learn(book, j, leader, agrees):
     """Take the mean of the window as the constant difference (`offset`) of IMU j, and average it if `agrees`."""
     mean, limit = book.mean[j, :6], _limit(book, j, leader)
     k = np.argmax(np.abs(mean) / limit)
+    if book.differing[j] and (np.abs(mean) > np.maximum(limit, SIGMAS * WANDER)).any():
+        return
     if agrees and book.usual[j, 0] > 0.0 and abs(mean[k]) > limit[k]:
         say(book, CHANGED, j, k, mean[k], 0.0)
     book.offset[j] += mean
@@ -171,6 +176,6 @@ def _learn(book, j, leader, agrees):
     book.known[j] = True
     if agrees:
         book.usual[j] = np.maximum(book.variance[j, :6], 1e-18)
-        book.averaged[j] = True
+        book.averaged[j], book.differing[j] = True, False
         late = (book.newest[leader] - book.compared_at[j]) * 1e-9
         say(book, AVERAGED, j, late, late > patience(book, j), 0.0)

@@ -91,7 +91,7 @@ def _hand_on(book, i, stamp, value, row, out_stamps, out):
     rows.
     """
     out_stamps[row] = stamp
-    out[row] = value - book.offset[i]
+    out[row, :6], out[row, 6:] = value - book.offset[i], 0.0
     return row + 1
 
 
@@ -108,15 +108,26 @@ def _add_others(book, i, stamp, out):
             # at most an equal share: an IMU with a low pass shows less noise than it has
             weight = np.minimum(certainty_of(book, j) / certainty, 1.0 / used) / book.held_count[j]
             out[0, :3] += weight[0] * book.held[j, :3]
-            out[0, 3:] += weight[1] * book.held[j, 3:]
+            out[0, 3:6] += weight[1] * book.held[j, 3:]
         book.held[j], book.held_count[j] = 0.0, 0.0
+    for j in range(len(book.known)):
+        if j != i and book.differing[j] and _is_there(book, j, stamp):  # the filter decides which one is right
+            out[0, :6] += 0.5 * book.latest[j]
+            out[0, 6:] = book.latest[j]
+            break
 
 
 @njit
 def _is_used(book, j, stamp):
     """Whether IMU j is averaged with the leading one at `stamp`, ns: it agrees, and is not silent."""
+    return book.averaged[j] and _is_there(book, j, stamp)
+
+
+@njit
+def _is_there(book, j, stamp):
+    """Whether IMU j has been compared with the leading one just before `stamp`, ns."""
     at = book.compared_at[j]
-    return book.averaged[j] and at != -1 and (stamp - at) * 1e-9 <= patience(book, j)
+    return at != -1 and (stamp - at) * 1e-9 <= patience(book, j)
 
 
 @njit

@@ -40,6 +40,8 @@ class Book(NamedTuple):
     offset: np.ndarray  # (n, 6) constant difference to the first IMU, which is subtracted
     known: np.ndarray  # whether `offset` has been estimated
     averaged: np.ndarray  # whether the IMU agrees with the leading one, so that both are averaged
+    differing: np.ndarray  # whether the IMU agreed with the leading one, and no longer does
+    latest: np.ndarray  # (n, 6) latest difference
     differs: np.ndarray  # number of messages that it does not agree
     returns: np.ndarray  # whether it is to lead from now on
     usual: np.ndarray  # (n, 6) mean square of the difference in windows with agreement; 0: there was none
@@ -75,10 +77,10 @@ class Book(NamedTuple):
 def book_of(n: int, values: dict) -> Book:
     """The memory for n IMUs with the checked parameters `values`, before the first sample."""
     floats = {name: np.zeros((n, *shape)) for shape, names in (
-        ((), 'window count held_count interval'), ((2,), 'now noise'), ((6,), 'offset usual held'),
+        ((), 'window count held_count interval'), ((2,), 'now noise'), ((6,), 'offset usual held latest'),
         ((12,), 'quick mean variance'), ((KEPT_SAMPLES, 6), 'values'),
         ((Head.SIZE,), 'heads')) for name in names.split()}
-    flags = {name: np.zeros(n, dtype=bool) for name in ('known', 'averaged', 'returns')}
+    flags = {name: np.zeros(n, dtype=bool) for name in ('known', 'averaged', 'differing', 'returns')}
     stamps = {name: np.full(n, -1, dtype=np.int64) for name in ('newest', 'compared_at', 'mark')}
     counts = {name: np.zeros(n, dtype=np.int64) for name in ('differs', 'fault', 'kept', 'compared')}
     for head in floats['heads']:
@@ -123,7 +125,7 @@ def compare_anew(book, j, begin):
 
     begin: s, 0 or negative: the window begins -begin s from now, after QUICK has settled.
     """
-    book.averaged[j] = book.returns[j] = False
+    book.averaged[j] = book.differing[j] = book.returns[j] = False
     book.window[j], book.count[j], book.held_count[j], book.compared_at[j] = begin - 4.0 * QUICK, 0.0, 0.0, -1
     book.quick[j], book.held[j] = 0.0, 0.0
 

@@ -48,7 +48,7 @@ class Imus:
         self._book = book_of(n, values)
         self._notices: list[Notice] = []
         self._faults = np.zeros((n, len(REASONS)), dtype=np.int64)
-        self._out_stamps, self._out = np.zeros(KEPT_SAMPLES, dtype=np.int64), np.zeros((KEPT_SAMPLES, 6))
+        self._out_stamps, self._out = np.zeros(KEPT_SAMPLES, dtype=np.int64), np.zeros((KEPT_SAMPLES, 12))
         self._origin, self._source = np.zeros(KEPT_SAMPLES, dtype=np.int64), np.zeros(1, dtype=np.int64)
 
     @property
@@ -82,7 +82,8 @@ class Imus:
         return stamp, values
 
     def add(self, i: int, stamp: int, force, rate) -> list[tuple[int, tuple[float, ...]]]:
-        """Take one message of IMU i (arguments as for `prepared`). Returns the samples to hand on: stamp, six numbers.
+        """Take one message of IMU i (arguments as for `prepared`). Returns the samples to hand on: stamp, six numbers,
+        and six of their difference (`ImuSamples.difference`).
         """
         stamps, values = self.prepared(i, np.array([stamp], dtype=np.int64), np.array([force], dtype=float),
                                        np.array([rate], dtype=float))
@@ -96,7 +97,7 @@ class Imus:
 
     def warm_up(self) -> None:
         """Compile or load the compiled code now, so that the first message is not delayed."""
-        take_all(self._book, self._source[:0], self._origin[:0], self._out[:0], 0, self._out_stamps, self._out,
+        take_all(self._book, self._source[:0], self._origin[:0], self._out[:0, :6].copy(), 0, self._out_stamps, self._out,
                  self._origin, self._faults, 0)
 
     def _count(self, i: int, stamp: int, fault: int) -> None:
@@ -120,7 +121,7 @@ class Imus:
         within = np.concatenate([np.arange(len(one)) for one in sources])[order]
         source, received = source[order], received[order]
         room = len(source) + KEPT_SAMPLES
-        out_stamps, out, origin = np.zeros(room, np.int64), np.zeros((room, 6)), np.zeros(room, np.int64)
+        out_stamps, out, origin = np.zeros(room, np.int64), np.zeros((room, 12)), np.zeros(room, np.int64)
         faults, upto, done = self._faults, 0, 0
         while upto < len(source):
             upto, done = take_all(self._book, source, stamp, values, upto, out_stamps, out, origin, faults, done)
@@ -133,8 +134,8 @@ class Imus:
         if imu.orientation is not None:
             mine = (source[origin] == 0) & (stamp[origin] == out_stamps[:done])
             orientation = np.where(mine[:, None], imu.orientation[np.where(mine, within[origin], 0)], np.nan)
-        return ImuSamples(out_stamps[:done], received[origin], out[:done, :3].copy(), out[:done, 3:].copy(),
-                          orientation)
+        return ImuSamples(out_stamps[:done], received[origin], out[:done, :3].copy(), out[:done, 3:6].copy(),
+                          orientation, difference=out[:done, 6:].copy())
 
     def _tell(self) -> None:
         for row in self._book.said[:self._book.said_count[0]]:

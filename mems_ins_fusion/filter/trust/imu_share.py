@@ -1,0 +1,91 @@
+"""Which of two IMUs is right, where they differ by more than chance: a state of the filter.
+
+The samples of the filter are the mean of both, and come with the difference d, the other IMU minus the leading one
+(`runs/imu_comparison.py`). The error of a sample is that of the sensors plus share * d: with a share of +1/2 the leading
+IMU is right, with -1/2 the other one. The share begins at 0 +- 1/2, so that the difference is the uncertainty of both.
+As the error that it causes is correlated with those of position, velocity, attitude and sensors, each fix, constraint
+and standstill tells more about it. Which IMU is the first makes no difference.
+"""
+from __future__ import annotations
+
+from mems_ins_fusion.compiled import njit
+
+from ..memory import HEAD, NAV, SAMPLE, Head, nonnegative
+
+#: of the settings: index of the state of the share among all n; 0 (a position state): a single IMU
+Share = HEAD.place('Share', STATE=1)
+#: of a sample: d, body axes, and whether there is one
+Difference = SAMPLE.place('Difference', VALUE=6, GIVEN=1)
+NAME = 'imu_share'  # of the state
+#: variance of the share as they begin to differ: either one is right
+BEGIN_VARIANCE = 0.25
+#: 1/s, growth of this variance: one IMU that was right fails after the other about once in an hour
+WALK = BEGIN_VARIANCE / 3600.0
+#: a column of zeros
+ZERO = (0.0, 0.0, 0.0)
+
+
+@njit(_nrt=False)
+def error(mem, r, sample, axis):
+    """Part of f_x ... w_z (axis 0 to 5) of the sample at `sample` that is error, as far as the state at r has a share
+    of the difference of two IMUs."""
+    return mem[r + NAV + int(mem[Share.STATE])] * mem[sample + Difference.VALUE + axis] if mem[Share.STATE] > 0 else 0.0
+
+
+@njit(_nrt=False)
+def take_difference(mem, sample, samples, k):
+    """Write d of sample k of `samples` (k, 13), in which it follows the sample, to `sample`, in body axes."""
+    given = 0.0
+    for i in range(6):
+        total = 0.0
+        for j in range(6):
+            given = max(given, abs(samples[k, 7 + j]))
+            total += mem[Head.CONDITIONING + 6 * j + i] * samples[k, 7 + j]
+        mem[sample + Difference.VALUE + i] = total
+    mem[sample + Difference.GIVEN] = given > 0.0
+
+
+@njit(_nrt=False)
+def add_error(mem, r, sample, dt, moved):
+    """Add the errors that the difference over the last `dt` s has caused to x and P of the state at r, predicted
+    without them. moved: errors of the navigation states per unit of the share."""
+    size, m, s = len(moved), nonnegative(int(mem[Head.N_AUGMENTED])), nonnegative(int(mem[Share.STATE]))
+    n, p = size + m, nonnegative(r + NAV + size + m)
+    own = nonnegative(p + n * size + m * (s - size))
+    variance = own + s - size
+    if mem[sample + Difference.GIVEN] == 0.0 or mem[variance] == 0.0:
+        _begin(mem, r, p, size, m, s, BEGIN_VARIANCE if mem[sample + Difference.GIVEN] != 0.0 else 0.0)
+        return
+    for i in range(size):
+        for j in range(i, size):
+            more = (mem[p + n * i + s] * moved[j] + moved[i] * mem[p + n * j + s]
+                    + moved[i] * moved[j] * mem[variance])
+            mem[p + n * i + j] += more
+            if j > i:
+                mem[p + n * j + i] += more
+    for i in range(size):
+        for j in range(m):
+            mem[p + n * i + size + j] += moved[i] * mem[own + j]
+        if mem[Head.OPEN_LOOP] != 0.0:
+            mem[r + NAV + i] += moved[i] * mem[r + NAV + s]
+        if mem[Head.HISTORY_AT] > 0.0:
+            rows = int(mem[Head.HISTORY_AT])
+            for k in range(n):
+                mem[rows + n * i + k] += moved[i] * mem[rows + n * s + k]
+    mem[variance] += WALK * dt
+
+
+@njit(_nrt=False)
+def _begin(mem, r, p, size, m, s, variance):
+    """Let the share be 0 with `variance`, whatever it was. p: position of P of the state at r."""
+    n, own = size + m, p + (size + m) * size
+    mem[r + NAV + s] = 0.0
+    for i in range(size):
+        mem[p + n * i + s] = 0.0
+    for j in range(m):
+        mem[own + m * (s - size) + j] = mem[own + m * j + s - size] = 0.0
+    mem[own + (m + 1) * (s - size)] = variance
+    if mem[Head.HISTORY_AT] > 0.0:
+        rows = int(mem[Head.HISTORY_AT])
+        for k in range(n):
+            mem[rows + n * s + k] = 0.0
