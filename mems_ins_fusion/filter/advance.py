@@ -13,7 +13,7 @@ from mems_ins_fusion.compiled_lanes import LANES, four, put
 from ..navigation.earth import gravity
 from . import history
 from .apply import apply_event
-from .constraints import CONSTRAINT_INTERVAL, constrain
+from .constraints import CONSTRAINT_INTERVAL, constrain, decide_share
 from .measurements.geometry import body_to_level
 from .measurements.wheel_vibration import Wheels, listen
 from .memory import (
@@ -43,6 +43,7 @@ from .prediction import UNKNOWN_TILT_SIGMA, allow_for_restart, predict
 from .trust import imu_faults, imu_share
 from .trust.extrapolation import Wrong
 from .trust.imu_faults import Fault, Imu
+from .trust.imu_share import Share
 from .trust.standstill import certain_speed, is_still, velocity_sigma
 from .trust.usual_speed import is_without_fixes
 from .trust.white_noise import show_noise
@@ -91,6 +92,8 @@ def advance(memory, k):
     due = CONSTRAINT_INTERVAL - 0.5 * memory[sample + Sample.INTERVAL]  # due at the nearest sample
     if has_constraints(memory) and memory[dst + Nav.CONSTRAINT_TIME] > due:
         constrain(memory, dst, sample)
+    if memory[Share.STATE] > 0.0:
+        decide_share(memory, dst)
     if not _is_finite(memory, dst):
         _restore(memory, first_row, dst, end)
 

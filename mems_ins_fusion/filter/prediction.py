@@ -203,7 +203,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     _sensor_states(mem, src, dst, dt, 5, m, p)
     if mem[Share.STATE] > 0.0:
         d = sample + Difference.VALUE
-        imu_share.add_error(mem, dst, sample, dt, planar.error_step(
+        imu_share.add_error(mem, dst, sample, planar.error_step(
             dt, f_n, f_e, c, s, 0.0, 0.0, 0.0, 0.0, 0.0, mem[d], mem[d + 1], mem[d + 5]))
 
 
@@ -571,7 +571,7 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     _sensor_states(mem, src, dst, dt, 9, m, p)
     if mem[Share.STATE] > 0.0:
         d = sample + Difference.VALUE
-        imu_share.add_error(mem, dst, sample, dt, strapdown.error_step(
+        imu_share.add_error(mem, dst, sample, strapdown.error_step(
             transition, ZERO, ZERO, ZERO, (mem[d], mem[d + 1], mem[d + 2]), (mem[d + 3], mem[d + 4], mem[d + 5])))
 
 

@@ -8,9 +8,11 @@ and standstill tells more about it. Which IMU is the first makes no difference.
 """
 from __future__ import annotations
 
+import math
+
 from mems_ins_fusion.compiled import njit
 
-from ..memory import HEAD, NAV, SAMPLE, Head, nonnegative
+from ..memory import HEAD, NAV, SAMPLE, Head, nonnegative, sensor_variance_at
 
 #: of the settings: index of the state of the share among all n; 0 (a position state): a single IMU
 Share = HEAD.place('Share', STATE=1)
@@ -19,8 +21,12 @@ Difference = SAMPLE.place('Difference', VALUE=6, GIVEN=1)
 NAME = 'imu_share'  # of the state
 #: variance of the share as they begin to differ: either one is right
 BEGIN_VARIANCE = 0.25
-#: 1/s, growth of this variance: one IMU that was right fails after the other about once in an hour
-WALK = BEGIN_VARIANCE / 3600.0
+#: variance of the share where it is decided: small enough for the largest difference to leave no error
+DECIDED_VARIANCE = 1e-6
+#: nats by which one of the two values has to be more likely than the other: a ratio of 8000, as hypotheses.LOST_NATS
+DECIDED_NATS = 9.0
+#: largest difference of the share from that value, standard deviations: otherwise both are wrong
+DECIDED_SIGMAS = 3.0
 #: a column of zeros
 ZERO = (0.0, 0.0, 0.0)
 
@@ -46,8 +52,8 @@ def take_difference(mem, sample, samples, k):
 
 
 @njit(_nrt=False)
-def add_error(mem, r, sample, dt, moved):
-    """Add the errors that the difference over the last `dt` s has caused to x and P of the state at r, predicted
+def add_error(mem, r, sample, moved):
+    """Add the errors that the difference has caused over the latest interval to x and P of the state at r, predicted
     without them. moved: errors of the navigation states per unit of the share."""
     size, m, s = len(moved), nonnegative(int(mem[Head.N_AUGMENTED])), nonnegative(int(mem[Share.STATE]))
     n, p = size + m, nonnegative(r + NAV + size + m)
@@ -72,7 +78,19 @@ def add_error(mem, r, sample, dt, moved):
             rows = int(mem[Head.HISTORY_AT])
             for k in range(n):
                 mem[rows + n * i + k] += moved[i] * mem[rows + n * s + k]
-    mem[variance] += WALK * dt
+
+
+@njit(_nrt=False)
+def decided(mem, r):
+    """The value of the share, +1/2 or -1/2, if the state at r excludes the other one, and it has not been decided;
+    else 0."""
+    state = int(mem[Share.STATE])
+    share, variance = mem[r + NAV + state], mem[sensor_variance_at(mem, r, state)]
+    value = math.copysign(0.5, share)
+    if (variance < 4.0 * DECIDED_VARIANCE or abs(share) < DECIDED_NATS * variance
+            or (share - value) ** 2 > DECIDED_SIGMAS**2 * variance):
+        return 0.0
+    return value
 
 
 @njit(_nrt=False)
