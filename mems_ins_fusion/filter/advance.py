@@ -147,9 +147,11 @@ def take_sample(memory, samples, i):
     memory[sample + Sample.FAULT] = fault
     memory[sample + Sample.RATE_SCATTER] = memory[Imu.RATE_SCATTER]
     if samples.shape[1] > 7:
-        imu_share.take_difference(memory, sample, samples, i)
+        imu_share.take_difference(memory, before, sample, samples, i)
     if fault == Fault.NONE:
         _condition(memory, sample)
+        if samples.shape[1] > 7:
+            imu_share.remove_share(memory, sample)
     else:
         coast(memory, sample, before)
     if dt > memory[Head.MAX_GAP] and k > 1:  # the motion during the gap is unknown: use the mean of both ends

@@ -391,7 +391,7 @@ class _Sample(NamedTuple):
     S: int = column(3)  # and its variances
     INTERVAL: int = column()  # s since the previous sample
     RATE_SCATTER: int = column()  # (rad/s)^2, running variance of the angular rates up to it
-    MECHANISMS: int = column(14)  # room for the columns that other files declare (`SAMPLE`)
+    MECHANISMS: int = column(15)  # room for the columns that other files declare (`SAMPLE`)
     SIZE: int = column(0)
 
 

@@ -33,7 +33,9 @@ def observe_rate(mem, at, h, n, sample):
             mem[at + Event.Z_N + count] = mem[sample + Sample.W_X + axis]
             mem[h + n * count + state] = 1.0
             if mem[Share.STATE] > 0.0:
-                mem[h + n * count + int(mem[Share.STATE])] = mem[sample + Difference.VALUE + 3 + axis]
+                difference = mem[sample + Difference.VALUE + 3 + axis]
+                mem[h + n * count + int(mem[Share.STATE])] = difference
+                mem[at + Event.Z_N + count] += mem[sample + Difference.TAKEN] * difference
             mem[at + (Event.R_NN, Event.R_EE, Event.R_DD)[count]] = _variance(mem, axis, sample)
             count += 1
     mem[at + Event.R_NE] = 0.0

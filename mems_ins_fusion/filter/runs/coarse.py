@@ -72,7 +72,7 @@ def _merge(small, memory, k, newest):
         if dt > memory[Head.MAX_GAP]:
             break
     copy(small, to, memory, at, Difference.VALUE)
-    small[to + Difference.GIVEN] = memory[at + Difference.GIVEN]
+    copy(small, to + Difference.GIVEN, memory, at + Difference.GIVEN, 2)
     if step > 0.0:
         for i in range(6):
             small[to + Difference.VALUE + i] /= step

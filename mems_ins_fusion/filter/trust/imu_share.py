@@ -12,12 +12,13 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import HEAD, NAV, SAMPLE, Head, nonnegative, sensor_variance_at
+from ..memory import HEAD, NAV, SAMPLE, Head, Sample, nonnegative, sensor_variance_at
 
 #: of the settings: index of the state of the share among all n; 0 (a position state): a single IMU
 Share = HEAD.place('Share', STATE=1)
-#: of a sample: d, body axes, and whether there is one
-Difference = SAMPLE.place('Difference', VALUE=6, GIVEN=1)
+#: of a sample: d, body axes; whether there is one; and the share that was estimated when it came, whose part of d has
+#: been subtracted from it
+Difference = SAMPLE.place('Difference', VALUE=6, GIVEN=1, TAKEN=1)
 NAME = 'imu_share'  # of the state
 #: variance of the share as they begin to differ: either one is right
 BEGIN_VARIANCE = 0.25
@@ -33,14 +34,17 @@ ZERO = (0.0, 0.0, 0.0)
 
 @njit(_nrt=False)
 def error(mem, r, sample, axis):
-    """Part of f_x ... w_z (axis 0 to 5) of the sample at `sample` that is error, as far as the state at r has a share
-    of the difference of two IMUs."""
-    return mem[r + NAV + int(mem[Share.STATE])] * mem[sample + Difference.VALUE + axis] if mem[Share.STATE] > 0 else 0.0
+    """Part of f_x ... w_z (axis 0 to 5) of the sample at `sample` that is error by the share of the state at r."""
+    if mem[Share.STATE] == 0.0:
+        return 0.0
+    share = mem[r + NAV + int(mem[Share.STATE])] - mem[sample + Difference.TAKEN]
+    return share * mem[sample + Difference.VALUE + axis]
 
 
 @njit(_nrt=False)
-def take_difference(mem, sample, samples, k):
-    """Write d of sample k of `samples` (k, 13), in which it follows the sample, to `sample`, in body axes."""
+def take_difference(mem, r, sample, samples, k):
+    """Write d of sample k of `samples` (k, 13), in which it follows the sample, to `sample`, in body axes, with the share
+    of the state at r."""
     given = 0.0
     for i in range(6):
         total = 0.0
@@ -48,7 +52,14 @@ def take_difference(mem, sample, samples, k):
             given = max(given, abs(samples[k, 7 + j]))
             total += mem[Head.CONDITIONING + 6 * j + i] * samples[k, 7 + j]
         mem[sample + Difference.VALUE + i] = total
-    mem[sample + Difference.GIVEN] = given > 0.0
+    mem[sample + Difference.GIVEN], mem[sample + Difference.TAKEN] = given > 0.0, mem[r + NAV + int(mem[Share.STATE])]
+
+
+@njit(_nrt=False)
+def remove_share(mem, sample):
+    """Subtract from the six values of the sample at `sample` what is error by the share that `take_difference` took."""
+    for i in range(6):
+        mem[sample + Sample.F_X + i] -= mem[sample + Difference.TAKEN] * mem[sample + Difference.VALUE + i]
 
 
 @njit(_nrt=False)
@@ -73,7 +84,7 @@ def add_error(mem, r, sample, moved):
         for j in range(m):
             mem[p + n * i + size + j] += moved[i] * mem[own + j]
         if mem[Head.OPEN_LOOP] != 0.0:
-            mem[r + NAV + i] += moved[i] * mem[r + NAV + s]
+            mem[r + NAV + i] += moved[i] * (mem[r + NAV + s] - mem[sample + Difference.TAKEN])
         if mem[Head.HISTORY_AT] > 0.0:
             rows = int(mem[Head.HISTORY_AT])
             for k in range(n):
