@@ -23,6 +23,7 @@ from .imu_memory import (
     SILENT,
     SLOW,
     compare_anew,
+    may_lead,
     patience,
     say,
 )
@@ -85,16 +86,17 @@ def _compare_one(book, j, leader, stamp, value, between):
     off = book.quick[j] - book.mean[j]
     book.mean[j] += off / book.count[j]
     book.variance[j] += (off * (book.quick[j] - book.mean[j]) - book.variance[j]) / book.count[j]
-    if book.averaged[j]:
+    others = np.maximum(book.noise[leader], book.now[j])
+    if may_lead(book, j) and (book.now[leader] > NOISIER**2 * others).any():
+        compare_anew(book, j, 0.0)
+        book.returns[j] = True
+    elif book.averaged[j]:
         book.held[j] += difference
         book.held_count[j] += 1.0
         book.offset[j] += min(1.0, dt / COMPARED_WINDOW) * difference
-        limit, others = _limit(book, j, leader), np.maximum(book.noise[leader], book.now[j])
+        limit = _limit(book, j, leader)
         k = np.argmax(np.abs(book.quick[j, :6]) / limit)
-        if (book.now[leader] > NOISIER**2 * others).any():
-            compare_anew(book, j, 0.0)
-            book.returns[j] = True
-        elif abs(book.quick[j, k]) > limit[k]:
+        if abs(book.quick[j, k]) > limit[k]:
             _differs(book, j, k, book.quick[j, k], limit[k])
     if book.window[j] < 0.0:
         book.count[j] = 0.0

@@ -13,7 +13,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..trust.imu_faults import FAULTS, Fault, check
 from .imu_comparison import certainty_of, compare
-from .imu_memory import ALONE, KEPT_SAMPLES, LEADS, NOISY, compare_anew, keep, patience, say
+from .imu_memory import ALONE, KEPT_SAMPLES, LEADS, NOISY, compare_anew, keep, may_lead, patience, say
 
 #: s without samples of the leading IMU after which an IMU that has not yet agreed with it leads. Drivers start one
 #: after the other, and bridging some seconds is better than samples of an IMU with a wrong mounting
@@ -60,17 +60,11 @@ def _judge(book, i, stamp, value, dt):
 
 
 @njit
-def _may_lead(book, j):
-    """Whether IMU j may lead: its offset is known, and it has agreed with the leading IMU or has never differed."""
-    return book.known[j] and (book.usual[j, 0] > 0.0 or book.differs[j] == 0)
-
-
-@njit
 def _take_leading(book, i, stamp, value, out_stamps, out):
     """Process a sample of the leading IMU; returns the number of samples to hand on."""
     if book.fault[i] != Fault.NONE:  # hold a faulty sample back if another IMU is available; else the filter bridges it
         for j in range(len(book.known)):
-            if j != i and _may_lead(book, j) and book.fault[j] == Fault.NONE and (
+            if j != i and may_lead(book, j) and book.fault[j] == Fault.NONE and (
                     stamp - book.newest[j]) * 1e-9 <= patience(book, j) + patience(book, i):
                 return 0
     else:
@@ -143,7 +137,7 @@ def _take_other(book, i, stamp, out_stamps, out):
     silent, allowed = (stamp - book.mark[i]) * 1e-9, SILENT_UNCOMPARED
     if book.kept[leader] > 0:  # samples that come in a burst have waited in a queue themselves
         silent = min(silent, (stamp - book.stamps[leader, (book.kept[leader] - 1) % KEPT_SAMPLES]) * 1e-9)
-        allowed = patience(book, leader) if _may_lead(book, i) else SILENT_UNCOMPARED
+        allowed = patience(book, leader) if may_lead(book, i) else SILENT_UNCOMPARED
     if last != -1 and not 0 < stamp - last <= book.restart_gap:
         return 0
     if silent > allowed:

@@ -120,6 +120,12 @@ def patience(book, i):
 
 
 @njit
+def may_lead(book, j):
+    """Whether IMU j may lead: its offset is known, and it has agreed with the leading IMU or has never differed."""
+    return book.known[j] and (book.usual[j, 0] > 0.0 or book.differs[j] == 0)
+
+
+@njit
 def compare_anew(book, j, begin):
     """Do not average IMU j until a new window has shown that it agrees with the leading one.
 
