@@ -176,7 +176,8 @@ CHANGES: dict[str, tuple[str, Callable]] = {
 #: of the first IMU: what makes it unusable, so that the second one alone is what can be had
 OF_FIRST = ('missing', 'missing for the first 100 s', 'missing from 150 s on',
             '10 s away at 150 s, then with other biases', 'stays as it is', 'not a number',
-            'noise of 3 m/s^2 and 0.2 rad/s', 'ten times the noise', 'gyroscope z 5 deg/s off')
+            'noise of 3 m/s^2 and 0.2 rad/s', 'ten times the noise', 'gyroscope z 5 deg/s off', 'scale 5 % more',
+            'axes x and y exchanged', 'measures 0.5 s late', 'gyroscope z drifts 0.3 deg/s in a minute, always')
 
 
 def _phase(recording: Recording, samples) -> np.ndarray:

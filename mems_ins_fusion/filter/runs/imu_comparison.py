@@ -42,8 +42,8 @@ WANDER = np.repeat(np.array([WANDER_FORCE, WANDER_RATE]), 3)
 #: largest difference in standard deviations: an hour has some 7000 independent values of six components, and their
 #: distribution has tails
 SIGMAS = 8.0
-#: the leading IMU is replaced when its noise (standard deviation) exceeds its own usual noise and the present noise of
-#: the other IMU by this factor: a rough road shakes both
+#: an IMU is not used beside another one when its noise (standard deviation) exceeds its own usual noise and the present
+#: noise of the other IMU by this factor: a rough road shakes both
 NOISIER = 10.0
 
 
@@ -68,6 +68,12 @@ def compare(book, j, leader):
 
 
 @njit
+def is_noisier(book, i, j):
+    """Whether the noise of IMU i has become larger than its usual noise and the present one of IMU j by NOISIER."""
+    return (book.now[i] > NOISIER**2 * np.maximum(book.noise[i], book.now[j])).any()
+
+
+@njit
 def _compare_one(book, j, leader, stamp, value, between):
     """Compare `value` (6,) of IMU j with `between` (6,) of the leading one at the same time, `stamp` ns."""
     difference = value - book.offset[j] - between + book.offset[leader]
@@ -86,8 +92,7 @@ def _compare_one(book, j, leader, stamp, value, between):
     off = book.quick[j] - book.mean[j]
     book.mean[j] += off / book.count[j]
     book.variance[j] += (off * (book.quick[j] - book.mean[j]) - book.variance[j]) / book.count[j]
-    others = np.maximum(book.noise[leader], book.now[j])
-    if may_lead(book, j) and (book.now[leader] > NOISIER**2 * others).any():
+    if may_lead(book, j) and is_noisier(book, leader, j):
         compare_anew(book, j, 0.0)
         book.returns[j] = True
     elif book.averaged[j]:

@@ -12,7 +12,7 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 from ..trust.imu_faults import FAULTS, Fault, check
-from .imu_comparison import certainty_of, compare
+from .imu_comparison import certainty_of, compare, is_noisier
 from .imu_memory import ALONE, KEPT_SAMPLES, LEADS, NOISY, compare_anew, keep, may_lead, patience, say
 
 #: s without samples of the leading IMU after which an IMU that has not yet agreed with it leads. Drivers start one
@@ -105,7 +105,8 @@ def _add_others(book, i, stamp, out):
             out[0, 3:6] += weight[1] * book.held[j, 3:]
         book.held[j], book.held_count[j] = 0.0, 0.0
     for j in range(len(book.known)):
-        if j != i and book.differing[j] and _is_there(book, j, stamp):  # the filter decides which one is right
+        # the filter finds out which one is right
+        if j != i and book.differing[j] and _is_there(book, j, stamp) and not is_noisier(book, j, i):
             out[0, :6] += 0.5 * book.latest[j]
             out[0, 6:] = book.latest[j]
             break

@@ -3,8 +3,9 @@
 One of them leads (`imu_lead`): the first in the order of preference (`imu_topic`, then those of `inputs`) that gives
 valid samples. The filter gets samples with its stamps.
 
-Another IMU only replaces a leading one that fails, until both have agreed while the vehicle moved (`imu_comparison`).
-From then on the difference to the leading IMU, times its weight (one half for two IMUs with the same noise), is added
+Another IMU only replaces a leading one that fails, until both have agreed while the vehicle moved, or have differed
+(`imu_comparison`). Where they differ, the samples are the mean of both and come with the difference: the filter finds
+out which one is right (`trust/imu_share.py`). Where they have agreed, the difference to the leading IMU, times its weight (one half for two IMUs with the same noise), is added
 to the samples. The difference is computed at the stamp of the other IMU, with the leading one interpolated, so that the
 average is not delayed. The mean of the difference over COMPARED_WINDOW is subtracted: the biases in the samples are
 always those of the first IMU, and do not jump when an IMU fails or returns.
@@ -164,9 +165,11 @@ class Imus:
                                      f'{_component(int(numbers[0]), numbers[1])}: its biases have changed')
         if code == DIFFERS:
             text = (f'it differs from {other} by {_component(int(numbers[0]), numbers[1])}, noise explains '
-                    f'{numbers[2]:.2g}: not averaged')
-            self.found[self.names[i]] = 'warning', f'{text}, {other} is used alone'
-            return Notice('warning', f'{topic}: {text}, {other} is used alone')
+                    f'{numbers[2]:.2g}: not averaged, ')
+            text += ('which one is right is what fixes, constraints and standstills show' if self._book.differing[i]
+                     else f'{other} is used alone')
+            self.found[self.names[i]] = 'warning', text
+            return Notice('warning', f'{topic}: {text}')
         self.found.pop(self.names[i], None)
         text = f'it has become more than {NOISIER:g} times as noisy, {topic} has not'
         self.found[self.names[leader]] = 'warning', f'{text}; the samples are those of {topic}'
