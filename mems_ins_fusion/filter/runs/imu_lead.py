@@ -139,7 +139,7 @@ def _take_other(book, i, stamp, out_stamps, out):
     if book.kept[leader] > 0:  # samples that come in a burst have waited in a queue themselves
         silent = min(silent, (stamp - book.stamps[leader, (book.kept[leader] - 1) % KEPT_SAMPLES]) * 1e-9)
         allowed = patience(book, leader) if may_lead(book, i) else SILENT_UNCOMPARED
-    if last != -1 and not 0 < stamp - last <= book.restart_gap:
+    if last != -1 and not 0 <= stamp - last <= book.restart_gap:
         return 0
     if silent > allowed:
         say(book, ALONE, i, silent, book.fault[leader], 0.0)

@@ -29,6 +29,9 @@ QUICK = 0.5
 #: s: a window waits for motion up to this time; an IMU that differed is not averaged for at least this time; time
 #: constant of the usual noise. Longer than a straight road or a stop
 SLOW = 60.0
+#: largest noise density squared that one sample shows, times the usual one: an error that begins by a jump is not noise,
+#: and must not count as an IMU that has become NOISIER (imu_comparison.py) by itself
+ONE_JUMP = 1000.0
 #: codes of the messages, see `Imus._worded`
 ALONE, LEADS, AVERAGED, CHANGED, DIFFERS, NOISY = range(6)
 
@@ -104,8 +107,10 @@ def keep(book, i, stamp, value, dt):
         step = value - book.values[i, (book.kept[i] - 1) % KEPT_SAMPLES]
         for half in range(2):
             density = (step[3 * half:3 * half + 3]**2).sum() / 6.0 * dt
-            book.now[i, half] += max(min(1.0, dt / QUICK), 1.0 / book.kept[i]) * (density - book.now[i, half])
-            if book.kept[i] * dt > COMPARED_WINDOW:  # bounded: the usual noise grows by e in SLOW at most
+            known = book.kept[i] * dt > COMPARED_WINDOW
+            now = min(density, ONE_JUMP * book.noise[i, half]) if known else density
+            book.now[i, half] += max(min(1.0, dt / QUICK), 1.0 / book.kept[i]) * (now - book.now[i, half])
+            if known:  # bounded: the usual noise grows by e in SLOW at most
                 density = min(density, 2.0 * book.noise[i, half])
             book.noise[i, half] += max(min(1.0, dt / SLOW), 1.0 / book.kept[i]) * (density - book.noise[i, half])
     book.stamps[i, book.kept[i] % KEPT_SAMPLES] = stamp
