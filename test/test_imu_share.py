@@ -55,7 +55,8 @@ def largest_error(recording, values=VALUES):
     return errors.horizontal[late].max(), (errors.nees[late] < 5.99).mean(), share
 
 
-FAULTS = {'5 deg/s off': lambda w: w + np.radians([0.0, 0.0, 5.0]), 'turns the other way': lambda w: w * [1.0, 1.0, -1.0]}
+FAULTS = {'5 deg/s off': lambda w: w + np.radians([0.0, 0.0, 5.0]),
+          'turns the other way': lambda w: w * [1.0, 1.0, -1.0]}
 
 
 @pytest.mark.parametrize('fault', FAULTS)

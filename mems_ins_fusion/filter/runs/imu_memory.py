@@ -31,7 +31,7 @@ QUICK = 0.5
 SLOW = 60.0
 #: largest noise density squared that one sample shows, times the usual one: an error that begins by a jump is not noise,
 #: and must not count as an IMU that has become NOISIER (imu_comparison.py) by itself
-ONE_JUMP = 1000.0
+ONE_JUMP = 4000.0
 #: codes of the messages, see `Imus._worded`
 ALONE, LEADS, AVERAGED, CHANGED, DIFFERS, NOISY = range(6)
 

@@ -1,8 +1,8 @@
 """Which of two IMUs is right, where they differ by more than chance: a state of the filter.
 
 The samples of the filter are the mean of both, and come with the difference d, the other IMU minus the leading one
-(`runs/imu_comparison.py`). The error of a sample is that of the sensors plus share * d: with a share of +1/2 the leading
-IMU is right, with -1/2 the other one. The share begins at 0 +- 1/2, so that the difference is the uncertainty of both.
+(`runs/imu_comparison.py`). The error of a sample is that of the sensors plus share * d: with a share of +1/2 the
+leading IMU is right, with -1/2 the other one. The share begins at 0 +- 1/2: the difference is the uncertainty of both.
 As the error that it causes is correlated with those of position, velocity, attitude and sensors, each fix, constraint
 and standstill tells more about it. Which IMU is the first makes no difference.
 """
@@ -43,8 +43,8 @@ def error(mem, r, sample, axis):
 
 @njit(_nrt=False)
 def take_difference(mem, r, sample, samples, k):
-    """Write d of sample k of `samples` (k, 13), in which it follows the sample, to `sample`, in body axes, with the share
-    of the state at r."""
+    """Write d of sample k of `samples` (k, 13), in which it follows the sample, to `sample`, in body axes, with the
+    share of the state at r."""
     given = 0.0
     for i in range(6):
         total = 0.0
