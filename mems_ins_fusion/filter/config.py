@@ -364,7 +364,8 @@ class FilterConfig:
             Head.ANGLE_SIGMA: values['vehicle.non_holonomic_angle_sigma'],
             Head.SIDESLIP: values['vehicle.sideslip_per_acceleration'],
             Head.SLIP_SIGMA: values['vehicle.sideslip_sigma'], Inputs.COUNT: layout.inputs,
-            Share.STATE: max(layout.index(imu_share.NAME), 0), Imu.MAX_FORCE: self.imu.max_specific_force, Imu.MAX_RATE: self.imu.max_angular_rate,
+            Share.STATE: max(layout.index(imu_share.NAME), 0),
+            Imu.MAX_FORCE: self.imu.max_specific_force, Imu.MAX_RATE: self.imu.max_angular_rate,
         }
         for column, value in settings.items():
             head[column] = value

@@ -29,8 +29,8 @@ QUICK = 0.5
 #: s: a window waits for motion up to this time; an IMU that differed is not averaged for at least this time; time
 #: constant of the usual noise. Longer than a straight road or a stop
 SLOW = 60.0
-#: largest noise density squared that one sample shows, times the usual one: an error that begins by a jump is not noise,
-#: and must not count as an IMU that has become NOISIER (imu_comparison.py) by itself
+#: largest noise density squared that one sample shows, times the usual one: an error that begins by a jump is not
+#: noise, and must not count as an IMU that has become NOISIER (imu_comparison.py) by itself
 ONE_JUMP = 4000.0
 #: codes of the messages, see `Imus._worded`
 ALONE, LEADS, AVERAGED, CHANGED, DIFFERS, NOISY = range(6)

@@ -5,10 +5,11 @@ valid samples. The filter gets samples with its stamps.
 
 Another IMU only replaces a leading one that fails, until both have agreed while the vehicle moved, or have differed
 (`imu_comparison`). Where they differ, the samples are the mean of both and come with the difference: the filter finds
-out which one is right (`trust/imu_share.py`). Where they have agreed, the difference to the leading IMU, times its weight (one half for two IMUs with the same noise), is added
-to the samples. The difference is computed at the stamp of the other IMU, with the leading one interpolated, so that the
-average is not delayed. The mean of the difference over COMPARED_WINDOW is subtracted: the biases in the samples are
-always those of the first IMU, and do not jump when an IMU fails or returns.
+out which one is right (`trust/imu_share.py`). Where they have agreed, the difference to the leading IMU, times its
+weight (one half for two IMUs with the same noise), is added to the samples. The difference is computed at the stamp of
+the other IMU, with the leading one interpolated, so that the average is not delayed. The mean of the difference over
+COMPARED_WINDOW is subtracted: the biases in the samples are always those of the first IMU, and do not jump when an IMU
+fails or returns.
 """
 from __future__ import annotations
 
@@ -98,8 +99,8 @@ class Imus:
 
     def warm_up(self) -> None:
         """Compile or load the compiled code now, so that the first message is not delayed."""
-        take_all(self._book, self._source[:0], self._origin[:0], self._out[:0, :6].copy(), 0, self._out_stamps, self._out,
-                 self._origin, self._faults, 0)
+        take_all(self._book, self._source[:0], self._origin[:0], self._out[:0, :6].copy(), 0, self._out_stamps,
+                 self._out, self._origin, self._faults, 0)
 
     def _count(self, i: int, stamp: int, fault: int) -> None:
         tally = self.tallies[self.names[i]]

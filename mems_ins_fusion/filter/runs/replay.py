@@ -164,7 +164,8 @@ class Replay(Intake):
         saved, self.saved = self.saved, None
         epoch = int(self.imu.stamp[kept[0]])
         time = (self.imu.stamp[kept] - epoch) * 1e-9
-        samples = np.empty((len(kept), 7 if self.imu.difference is None else 13))  # filled in place: hours of samples are hundreds of megabytes
+        # filled in place: hours of samples are hundreds of megabytes
+        samples = np.empty((len(kept), 7 if self.imu.difference is None else 13))
         samples[:, 0] = time
         samples[:, 1:4], samples[:, 4:7] = self.imu.specific_force[kept], self.imu.angular_rate[kept]
         if correctors:
