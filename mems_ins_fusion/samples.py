@@ -59,6 +59,8 @@ class ImuSamples(_Samples):
     stamp, received: (n,) int64 ns. specific_force: (n, 3) m/s^2. angular_rate: (n, 3) rad/s.
     orientation: (n, 4) quaternion x, y, z, w as the message carries it, or None where no message had one.
     temperature: (n,) degrees Celsius, the last known when each sample arrived, NaN before; None where unknown.
+    difference: (n, 6) specific force and angular rate, another IMU minus the leading one, where two IMUs differ that
+    these samples are the mean of, else zero; None of a single IMU.
     """
 
     stamp: np.ndarray
@@ -67,6 +69,7 @@ class ImuSamples(_Samples):
     angular_rate: np.ndarray
     orientation: np.ndarray | None = None
     temperature: np.ndarray | None = None
+    difference: np.ndarray | None = None
 
     def with_temperature(self, temperatures: Temperatures | None) -> ImuSamples:
         """The samples with the latest of `temperatures`, in the order of arrival, at the time when each arrived."""

@@ -126,8 +126,8 @@ def test_message_by_message_gives_the_same_bits(first, second):
         got += several.add(source, int(parts[source].stamp[i]), parts[source].specific_force[i].tolist(),
                            parts[source].angular_rate[i].tolist())
     assert [stamp for stamp, _ in got] == whole.stamp.tolist()
-    np.testing.assert_array_equal([numbers for _, numbers in got], np.hstack([whole.specific_force,
-                                                                              whole.angular_rate]))
+    np.testing.assert_array_equal([numbers for _, numbers in got],
+                                  np.hstack([whole.specific_force, whole.angular_rate, whole.difference]))
     assert [notice.text for notice in several.notices()] == said[:len(said)]
 
 
@@ -173,15 +173,24 @@ def test_one_that_stays_as_it_is_is_not_used(first, second, broken):
     assert any('frozen' in text for text in said)
 
 
-def test_where_they_differ_the_first_is_believed_and_it_is_said(first, second):
+def led(samples):
+    """Specific force and angular rate (n, 6) of the leading IMU where the samples are the mean of two that differ."""
+    return np.hstack([samples.specific_force, samples.angular_rate]) - 0.5 * samples.difference
+
+
+def test_where_they_differ_the_mean_and_the_difference_are_handed_on_and_it_is_said(first, second):
     # given the second one's gyroscope off by 0.1 rad/s from 60 s on, while the vehicle moves
     off = np.where(after(second, 60.0)[:, None], [0.0, 0.1, 0.0], 0.0) @ rotation_from_rpy(*TURNED)
     whole, said = one(first, replace(second, angular_rate=second.angular_rate + off))
-    # then it is out before it has turned the heading by 0.01 rad, and the first one's samples are as they were
-    step = errors(whole)[after(whole, 60.0, 62.0), 3:] - BIAS[3:]
-    assert np.abs(step.sum(axis=0) * 0.01).max() < 0.01
-    alone = after(whole, 62.0, 110.0)
-    np.testing.assert_array_equal(whole.angular_rate[alone], first.angular_rate[alone])
+    # then that shows before it has turned the heading by 0.01 rad
+    begin = seconds(whole)[np.flatnonzero(whole.difference.any(axis=1))[0]]
+    step = errors(whole)[after(whole, 60.0, begin), 3:] - BIAS[3:]
+    assert 60.0 < begin < 60.5 and np.abs(step.sum(axis=0) * 0.01).max() < 0.01
+    # and from then on the difference is handed on, and the first one's samples can be had from it
+    apart = after(whole, begin, 110.0)
+    np.testing.assert_allclose(led(whole)[apart, 3:], first.angular_rate[apart], atol=1e-12)
+    in_first = rotation_from_rpy(*FIRST_MOUNTING).T @ [0.0, 0.1, 0.0]
+    np.testing.assert_allclose(whole.difference[apart, 3:].mean(axis=0), in_first, atol=5e-4)
     assert any('/second: it differs from /imu/data by' in text and 'rad/s' in text and 'not averaged' in text
                for text in said)
 
@@ -220,13 +229,15 @@ WRONG = {'half a second late': lambda s: delayed(s, 0.5), 'a fifth late': lambda
 
 
 @pytest.mark.parametrize('wrong', WRONG)
-def test_one_that_is_wrong_changes_not_a_bit(first, second, wrong):
+def test_one_that_is_wrong_leaves_the_samples_of_the_first_in_the_mean(first, second, wrong):
     # given a second one that is wrong from the start, which no constant and no noise explains; when they are one
     whole, said = one(first, WRONG[wrong](second))
-    # then the samples are those of the first one
+    # then the samples are those of the first one, to the bit till it is known that they differ
     np.testing.assert_array_equal(whole.stamp, first.stamp)
-    np.testing.assert_array_equal(whole.specific_force, first.specific_force)
-    np.testing.assert_array_equal(whole.angular_rate, first.angular_rate)
+    np.testing.assert_allclose(led(whole), np.hstack([first.specific_force, first.angular_rate]), atol=1e-10)
+    same = ~whole.difference.any(axis=1)
+    assert same[after(whole, 0.0, 20.0)].all()
+    np.testing.assert_array_equal(whole.angular_rate[same], first.angular_rate[same])
     # and it is said once, where it differs and does not only come late
     assert sum('it differs' in text for text in said) == (not wrong.startswith(('received', 'silent')))
     assert not any('averaged with' in text for text in said)
@@ -243,9 +254,10 @@ def test_one_that_becomes_wrong_in_motion_is_out_at_once(first, second):
     whole, said = one(first, broken)
     # then it is not averaged any more as soon as that shows, and what it added till then is small
     assert sum('it differs' in text for text in said) == 1
-    alone = after(whole, 66.0)
-    np.testing.assert_array_equal(whole.angular_rate[alone], first.angular_rate[alone])
-    added = (whole.angular_rate - first.angular_rate)[after(whole, 60.0, 66.0)]
+    apart = after(whole, 66.0)
+    np.testing.assert_allclose(led(whole)[apart, 3:], first.angular_rate[apart], atol=1e-12)
+    begin = seconds(whole)[np.flatnonzero(whole.difference.any(axis=1))[0]]
+    added = (whole.angular_rate - first.angular_rate)[after(whole, 60.0, begin)]
     assert np.abs(added.sum(axis=0) * 0.01).max() < 0.01
 
 

@@ -13,7 +13,7 @@ from mems_ins_fusion.compiled_lanes import LANES, four, put
 from ..navigation.earth import gravity
 from . import history
 from .apply import apply_event
-from .constraints import CONSTRAINT_INTERVAL, constrain
+from .constraints import CONSTRAINT_INTERVAL, constrain, decide_share
 from .measurements.geometry import body_to_level
 from .measurements.wheel_vibration import Wheels, listen
 from .memory import (
@@ -40,9 +40,10 @@ from .memory import (
     time_of,
 )
 from .prediction import UNKNOWN_TILT_SIGMA, allow_for_restart, predict
-from .trust import imu_faults
+from .trust import imu_faults, imu_share
 from .trust.extrapolation import Wrong
 from .trust.imu_faults import Fault, Imu
+from .trust.imu_share import Share
 from .trust.standstill import certain_speed, is_still, velocity_sigma
 from .trust.usual_speed import is_without_fixes
 from .trust.white_noise import show_noise
@@ -91,6 +92,8 @@ def advance(memory, k):
     due = CONSTRAINT_INTERVAL - 0.5 * memory[sample + Sample.INTERVAL]  # due at the nearest sample
     if has_constraints(memory) and memory[dst + Nav.CONSTRAINT_TIME] > due:
         constrain(memory, dst, sample)
+    if memory[Share.STATE] > 0.0:
+        decide_share(memory, dst)
     if not _is_finite(memory, dst):
         _restore(memory, first_row, dst, end)
 
@@ -143,8 +146,12 @@ def take_sample(memory, samples, i):
     fault = imu_faults.check(memory, samples, i, dt, speed, wrong, before_fault)
     memory[sample + Sample.FAULT] = fault
     memory[sample + Sample.RATE_SCATTER] = memory[Imu.RATE_SCATTER]
+    if samples.shape[1] > 7:
+        imu_share.take_difference(memory, before, sample, samples, i)
     if fault == Fault.NONE:
         _condition(memory, sample)
+        if samples.shape[1] > 7:
+            imu_share.remove_share(memory, sample)
     else:
         coast(memory, sample, before)
     if dt > memory[Head.MAX_GAP] and k > 1:  # the motion during the gap is unknown: use the mean of both ends
@@ -195,9 +202,9 @@ def coast(memory, sample, r):
     c = body_to_level(memory, r)
     g = gravity(memory[r + Nav.LATITUDE], memory[r + Nav.HEIGHT])
     for axis in range(6):
-        # the reaction to gravity, and the estimated sensor errors, which the prediction subtracts again
+        # the reaction to gravity, and the estimated errors, which the prediction subtracts again
         state = channel_of(memory, axis)
-        error = memory[r + NAV + state] if state >= 0 else 0.0
+        error = memory[r + NAV + state] + imu_share.error(memory, r, sample, axis) if state >= 0 else 0.0
         memory[sample + Sample.F_X + axis] = error - g * c[6 + axis] if axis < 3 else error
 
 

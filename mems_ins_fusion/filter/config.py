@@ -17,7 +17,7 @@ from .bank import Bank
 from .history import history_size
 from .measurements import wheel_vibration
 from .measurements.base import SHORTER, Measurement, SensorSettings
-from .measurements.registry import aiding, inputs
+from .measurements.registry import aiding, imus, inputs
 from .memory import (
     BY_NAME,
     HEAD,
@@ -34,8 +34,10 @@ from .memory import (
     scratch_size,
 )
 from .prediction import TURN_TIME, Turns
+from .trust import imu_share
 from .trust.drift import DriftSettings
 from .trust.imu_faults import Imu
+from .trust.imu_share import Share
 from .trust.lag import LagSettings
 from .trust.scale import Inputs
 from .trust.white_noise import White
@@ -362,6 +364,7 @@ class FilterConfig:
             Head.ANGLE_SIGMA: values['vehicle.non_holonomic_angle_sigma'],
             Head.SIDESLIP: values['vehicle.sideslip_per_acceleration'],
             Head.SLIP_SIGMA: values['vehicle.sideslip_sigma'], Inputs.COUNT: layout.inputs,
+            Share.STATE: max(layout.index(imu_share.NAME), 0),
             Imu.MAX_FORCE: self.imu.max_specific_force, Imu.MAX_RATE: self.imu.max_angular_rate,
         }
         for column, value in settings.items():
@@ -428,6 +431,8 @@ def _extras(values: dict, is_level: bool) -> tuple[Extra, ...]:
             for name, (sigma, walk) in measurement.states(values).items():
                 slow(name, sigma, walk)
             slow(measurement.time_offset_state, values[f'{measurement.name}.time_offset_sigma'])
+    if imus(values):
+        extras.append(Extra(imu_share.NAME, RandomWalk(0.0, 0.0), 0.0))
     return tuple(extras)
 
 

@@ -25,8 +25,9 @@ from .memory import (
     yaw_state,
 )
 from .prediction import set_radii
-from .trust import contradiction, creep, gyroscopes, hypotheses, new_start, usual_speed
+from .trust import contradiction, creep, gyroscopes, hypotheses, imu_share, new_start, usual_speed
 from .trust.force_noise import force_noise
+from .trust.imu_share import DECIDED_VARIANCE, Share
 from .trust.standstill import SURE_ODDS, Standing, moves, odds_of_standing, wheels_turn
 from .trust.white_noise import Shown, hides_turns
 from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_update, product, project, update
@@ -113,6 +114,22 @@ def constrain(mem, r, sample):
     else:
         store_covariance(mem, p, int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), mem, r)
         return
+    end_update(mem, r)
+    set_radii(mem, r)
+    hypotheses.move_offset(mem, r, before)
+
+
+@njit(_nrt=False)
+def decide_share(mem, r):
+    """Of two IMUs that differ, take the one for right that the state at r shows to be."""
+    value = imu_share.decided(mem, r)
+    if value == 0.0:
+        return
+    n, h = begin_update(mem, r)
+    mem[h + int(mem[Share.STATE])] = 1.0
+    before = hypotheses.position_and_velocity(mem, r)
+    s = DECIDED_VARIANCE + project(mem, n, h, h + 3 * n)
+    correct_by_scalar(mem, r, n, h, h + 3 * n, value, s)
     end_update(mem, r)
     set_radii(mem, r)
     hypotheses.move_offset(mem, r, before)

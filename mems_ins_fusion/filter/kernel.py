@@ -35,7 +35,8 @@ def find_event(memory, identity):
 def run(memory, samples, events, arrival, answers, columns, kept, states, log):
     """Process IMU samples and measurements in the order of their arrival.
 
-    samples (k, 7): time (s since the filter's epoch), specific force (m/s^2) and angular rate (rad/s) in sensor axes.
+    samples (k, 7): time (s since the filter's epoch), specific force (m/s^2) and angular rate (rad/s) in sensor axes;
+    (k, 13) of several IMUs: then the difference of two of them (`ImuSamples.difference`).
     events (e, Event.SIZE): measurements in the order of arrival. arrival (e,): number of samples that arrived before
     each measurement. answers (e,), output: for each measurement TAKEN or the reason why it was not (advance.py).
     kept (s,): ascending indices of samples. After each of these, the `columns` of the newest state are written to

@@ -365,7 +365,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # `StateLayout.rows`
     CHANNEL: int = column(6)  # `StateLayout.axes`
     AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
-    MECHANISMS: int = column(80)  # room for the columns that other files declare (`HEAD`)
+    MECHANISMS: int = column(81)  # room for the columns that other files declare (`HEAD`)
     SIZE: int = column(0)
 
 
@@ -394,7 +394,7 @@ class _Sample(NamedTuple):
     S: int = column(3)  # and its variances
     INTERVAL: int = column()  # s since the previous sample
     RATE_SCATTER: int = column()  # (rad/s)^2, running variance of the angular rates up to it
-    MECHANISMS: int = column(7)  # room for the columns that other files declare (`SAMPLE`)
+    MECHANISMS: int = column(15)  # room for the columns that other files declare (`SAMPLE`)
     SIZE: int = column(0)
 
 

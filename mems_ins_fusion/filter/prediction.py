@@ -39,9 +39,11 @@ from .memory import (
     variance_at,
     walk_at,
 )
+from .trust import imu_share
 from .trust.drift import Drift, DriftSettings
 from .trust.force_noise import force_noise
 from .trust.imu_faults import Fault
+from .trust.imu_share import ZERO, Difference, Share
 from .trust.lag import LagSettings, fall_behind
 from .trust.scale import Inputs
 from .trust.white_noise import density
@@ -137,6 +139,10 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
         f_x -= mem[src + x]
         f_y -= mem[src + x + p]
         w_z -= mem[src + x + 2 * p]
+    if mem[Share.STATE] > 0.0 and closed:
+        f_x -= imu_share.error(mem, src, sample, 0)
+        f_y -= imu_share.error(mem, src, sample, 1)
+        w_z -= imu_share.error(mem, src, sample, 5)
     yaw = mem[src + Nav.YAW]
     f_n, f_e, c, s = planar.rotate(yaw, dt, f_x, f_y, w_z)
     north, east, v_n, v_e, yaw = planar.mechanize(mem[src + Nav.V_N], mem[src + Nav.V_E], yaw, f_x, f_y, w_z, dt)
@@ -195,6 +201,10 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     mem[to + 4 * n + 4] = a44
     _mirror(mem, to, 5, n)
     _sensor_states(mem, src, dst, dt, 5, m, p)
+    if mem[Share.STATE] > 0.0:
+        d = sample + Difference.VALUE
+        imu_share.add_error(mem, dst, sample, planar.error_step(
+            dt, f_n, f_e, c, s, 0.0, 0.0, 0.0, 0.0, 0.0, mem[d], mem[d + 1], mem[d + 5]))
 
 
 @njit(inline='always')
@@ -501,6 +511,11 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     if closed:
         f = (f[0] - mem[src + x], f[1] - mem[src + x + p], f[2] - mem[src + x + 2 * p])
         w = (w[0] - mem[src + x + 3 * p], w[1] - mem[src + x + 4 * p], w[2] - mem[src + x + 5 * p])
+    if mem[Share.STATE] > 0.0 and closed:
+        f = (f[0] - imu_share.error(mem, src, sample, 0), f[1] - imu_share.error(mem, src, sample, 1),
+             f[2] - imu_share.error(mem, src, sample, 2))
+        w = (w[0] - imu_share.error(mem, src, sample, 3), w[1] - imu_share.error(mem, src, sample, 4),
+             w[2] - imu_share.error(mem, src, sample, 5))
     latitude, height = mem[src + Nav.LATITUDE], mem[src + Nav.HEIGHT]
     rates = strapdown.frame_rates(latitude, mem[src + Nav.V_N], mem[src + Nav.V_E], 1.0 / mem[src + Nav.NORTH_SCALE],
                                   1.0 / (mem[src + Nav.EAST_SCALE] * math.cos(latitude)))
@@ -554,6 +569,10 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         _store(mem, to + n * i + 6, 1, _strapdown_column(mem, transition, g + n * i, 1, u + i, 9)[6:])
     _mirror(mem, to, 9, n)
     _sensor_states(mem, src, dst, dt, 9, m, p)
+    if mem[Share.STATE] > 0.0:
+        d = sample + Difference.VALUE
+        imu_share.add_error(mem, dst, sample, strapdown.error_step(
+            transition, ZERO, ZERO, ZERO, (mem[d], mem[d + 1], mem[d + 2]), (mem[d + 3], mem[d + 4], mem[d + 5])))
 
 
 @njit(inline='always')

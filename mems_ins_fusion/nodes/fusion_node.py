@@ -184,15 +184,15 @@ class FusionNode(Node):
     def _take_all(self, samples, stamp=None, orientation=(0.0,) * 4):
         """Combine the samples of several IMUs; orientation: of the sample with this stamp."""
         for now, numbers in samples:
-            self._take((now, *numbers), *(orientation if now == stamp else (0.0,) * 4))
+            self._take((now, *numbers[:6]), *(orientation if now == stamp else (0.0,) * 4), numbers[6:])
 
-    def _take(self, sample, x, y, z, w):
-        """A sample for the filter."""
+    def _take(self, sample, x, y, z, w, difference=()):
+        """A sample for the filter. difference: of several IMUs, as in `ImuSamples`."""
         now = sample[0]
         self._monitor.mounting.add_sample(sample)
         if self._online and (findings := self._online.add_sample(sample)) is not None:
             self._apply_findings(findings)
-        is_new = self._filter.add_imu(*sample, x, y, z, w)
+        is_new = self._filter.add_imu(*sample, x, y, z, w, difference)
         if self._applied:
             self._remove_dropped()
         if is_new:

@@ -7,6 +7,7 @@ from mems_ins_fusion.compiled import njit
 
 from ...navigation import strapdown
 from ..memory import NAV, PLANAR, Error, Event, Head, Nav, Sample, channel_of, row_of
+from ..trust import imu_share
 
 
 @njit(_nrt=False)
@@ -160,4 +161,6 @@ def angular_rate(mem, r, sample):
 def _rate(mem, r, sample, axis):
     """One component of `angular_rate`; zero where the mechanization does not use that gyroscope."""
     state = channel_of(mem, 3 + axis)
-    return mem[sample + Sample.W_X + axis] - mem[r + NAV + state] if state >= 0 else 0.0
+    if state < 0:
+        return 0.0
+    return mem[sample + Sample.W_X + axis] - mem[r + NAV + state] - imu_share.error(mem, r, sample, 3 + axis)

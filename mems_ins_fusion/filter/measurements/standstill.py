@@ -4,6 +4,7 @@ from __future__ import annotations
 from mems_ins_fusion.compiled import njit
 
 from ..memory import WHITE, Error, Event, Nav, Sample, channel_of
+from ..trust.imu_share import Difference, Share
 from .geometry import add
 
 #: rad/s (0.2 deg/h), smallest standard deviation of an angular rate at a standstill: less than any gyroscope resolves.
@@ -31,6 +32,10 @@ def observe_rate(mem, at, h, n, sample):
         if state >= 0:
             mem[at + Event.Z_N + count] = mem[sample + Sample.W_X + axis]
             mem[h + n * count + state] = 1.0
+            if mem[Share.STATE] > 0.0:
+                difference = mem[sample + Difference.VALUE + 3 + axis]
+                mem[h + n * count + int(mem[Share.STATE])] = difference
+                mem[at + Event.Z_N + count] += mem[sample + Difference.TAKEN] * difference
             mem[at + (Event.R_NN, Event.R_EE, Event.R_DD)[count]] = _variance(mem, axis, sample)
             count += 1
     mem[at + Event.R_NE] = 0.0

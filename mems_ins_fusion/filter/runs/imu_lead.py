@@ -7,20 +7,20 @@ leading one (`imu_comparison`) is added to the samples.
 """
 from __future__ import annotations
 
-import math
+import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
 from ..trust.imu_faults import FAULTS, Fault, check
-from .imu_comparison import certainty_of, compare
-from .imu_memory import ALONE, KEPT_SAMPLES, LEADS, NOISY, compare_anew, keep, patience, say
+from .imu_comparison import certainty_of, compare, is_noisier
+from .imu_memory import ALONE, KEPT_SAMPLES, LEADS, NOISY, compare_anew, keep, may_lead, patience, say
 
 #: s without samples of the leading IMU after which an IMU that has not yet agreed with it leads. Drivers start one
 #: after the other, and bridging some seconds is better than samples of an IMU with a wrong mounting
 SILENT_UNCOMPARED = 5.0
 #: code of a sample that is not finite
 NOT_FINITE = Fault.SIZE
-REASONS = (*FAULTS, 'not a number')  # in words, by the code of the fault
+REASONS = (*FAULTS, 'not a number')
 
 
 @njit
@@ -51,21 +51,12 @@ def _take(book, i, stamp, value, out_stamps, out):
 @njit
 def _judge(book, i, stamp, value, dt):
     """Fault of a sample: a `Fault` or NOT_FINITE."""
-    total = 0.0
-    for k in range(6):
-        total += value[k]
-        book.sample[0, 1 + k] = value[k]
-    if not math.isfinite(total):
+    if not np.isfinite(value.sum()):
         return NOT_FINITE
     book.sample[0, 0] = (stamp - book.epoch[0]) * 1e-9
+    book.sample[0, 1:] = value
     # as if in motion, so that frozen axes are found at rest as well: a false alarm costs little beside another IMU
-    return check(book.heads[i], book.sample, 0, dt, math.inf, False)
-
-
-@njit
-def _may_lead(book, j):
-    """Whether IMU j may lead: its offset is known, and it has agreed with the leading IMU or has never differed."""
-    return book.known[j] and (book.usual[j, 0] > 0.0 or book.differs[j] == 0)
+    return check(book.heads[i], book.sample, 0, dt, np.inf, False)
 
 
 @njit
@@ -73,7 +64,7 @@ def _take_leading(book, i, stamp, value, out_stamps, out):
     """Process a sample of the leading IMU; returns the number of samples to hand on."""
     if book.fault[i] != Fault.NONE:  # hold a faulty sample back if another IMU is available; else the filter bridges it
         for j in range(len(book.known)):
-            if j != i and _may_lead(book, j) and book.fault[j] == Fault.NONE and (
+            if j != i and may_lead(book, j) and book.fault[j] == Fault.NONE and (
                     stamp - book.newest[j]) * 1e-9 <= patience(book, j) + patience(book, i):
                 return 0
     else:
@@ -94,8 +85,7 @@ def _hand_on(book, i, stamp, value, row, out_stamps, out):
     rows.
     """
     out_stamps[row] = stamp
-    for k in range(6):
-        out[row, k] = value[k] - book.offset[i, k]
+    out[row, :6], out[row, 6:] = value - book.offset[i], 0.0
     return row + 1
 
 
@@ -103,28 +93,36 @@ def _hand_on(book, i, stamp, value, row, out_stamps, out):
 def _add_others(book, i, stamp, out):
     """Add to row 0 of out the mean differences of the IMUs that agree with the leading IMU i, weighted by their noise.
     """
-    for half in range(2):
-        used, certainty = 1, certainty_of(book, i, half)
-        for j in range(len(book.known)):
-            if j != i and _is_used(book, j, stamp):
-                used, certainty = used + 1, certainty + certainty_of(book, j, half)
-        for j in range(len(book.known)):
-            if j != i and book.held_count[j] > 0.0 and _is_used(book, j, stamp):
-                # at most an equal share: an IMU with a low pass shows less noise than it has
-                weight = min(certainty_of(book, j, half) / certainty, 1.0 / used) / book.held_count[j]
-                for k in range(3 * half, 3 * half + 3):
-                    out[0, k] += weight * book.held[j, k]
+    used, certainty = 1, certainty_of(book, i)
     for j in range(len(book.known)):
-        book.held_count[j] = 0.0
-        for k in range(6):
-            book.held[j, k] = 0.0
+        if j != i and _is_used(book, j, stamp):
+            used, certainty = used + 1, certainty + certainty_of(book, j)
+    for j in range(len(book.known)):
+        if j != i and book.held_count[j] > 0.0 and _is_used(book, j, stamp):
+            # at most an equal share: an IMU with a low pass shows less noise than it has
+            weight = np.minimum(certainty_of(book, j) / certainty, 1.0 / used) / book.held_count[j]
+            out[0, :3] += weight[0] * book.held[j, :3]
+            out[0, 3:6] += weight[1] * book.held[j, 3:]
+        book.held[j], book.held_count[j] = 0.0, 0.0
+    for j in range(len(book.known)):
+        # the filter finds out which one is right
+        if j != i and book.differing[j] and _is_there(book, j, stamp) and not is_noisier(book, j, i):
+            out[0, :6] += 0.5 * book.latest[j]
+            out[0, 6:] = book.latest[j]
+            break
 
 
 @njit
 def _is_used(book, j, stamp):
     """Whether IMU j is averaged with the leading one at `stamp`, ns: it agrees, and is not silent."""
+    return book.averaged[j] and _is_there(book, j, stamp)
+
+
+@njit
+def _is_there(book, j, stamp):
+    """Whether IMU j has been compared with the leading one just before `stamp`, ns."""
     at = book.compared_at[j]
-    return book.averaged[j] and at != -1 and (stamp - at) * 1e-9 <= patience(book, j)
+    return at != -1 and (stamp - at) * 1e-9 <= patience(book, j)
 
 
 @njit
@@ -140,8 +138,8 @@ def _take_other(book, i, stamp, out_stamps, out):
     silent, allowed = (stamp - book.mark[i]) * 1e-9, SILENT_UNCOMPARED
     if book.kept[leader] > 0:  # samples that come in a burst have waited in a queue themselves
         silent = min(silent, (stamp - book.stamps[leader, (book.kept[leader] - 1) % KEPT_SAMPLES]) * 1e-9)
-        allowed = patience(book, leader) if _may_lead(book, i) else SILENT_UNCOMPARED
-    if last != -1 and not 0 < stamp - last <= book.restart_gap:
+        allowed = patience(book, leader) if may_lead(book, i) else SILENT_UNCOMPARED
+    if last != -1 and not 0 <= stamp - last <= book.restart_gap:
         return 0
     if silent > allowed:
         say(book, ALONE, i, silent, book.fault[leader], 0.0)
@@ -152,8 +150,7 @@ def _take_other(book, i, stamp, out_stamps, out):
     else:
         return 0
     book.leader[0], book.known[i], book.known[leader] = i, True, book.newest[leader] != -1
-    for k in range(6):
-        book.usual[leader, k] = book.usual[i, k]
+    book.usual[leader] = book.usual[i]
     book.averaged[leader], book.averaged[i], book.differs[i] = agrees, False, 0
     for j in range(len(book.known)):
         agrees, book.mark[j], book.compared[j] = book.averaged[j], book.newest[j], book.kept[j]

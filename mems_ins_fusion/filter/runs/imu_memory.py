@@ -1,7 +1,6 @@
 """Memory of the code for several IMUs: their newest samples, their noise, and the differences between them.
 
-`imu_comparison` writes the differences to the leading IMU, `imu_lead` chooses the leading IMU. Compiled functions of
-these files have loops instead of array expressions, which take numba several times as long to compile.
+`imu_comparison` writes the differences to the leading IMU, `imu_lead` chooses the leading IMU.
 """
 from __future__ import annotations
 
@@ -30,6 +29,9 @@ QUICK = 0.5
 #: s: a window waits for motion up to this time; an IMU that differed is not averaged for at least this time; time
 #: constant of the usual noise. Longer than a straight road or a stop
 SLOW = 60.0
+#: largest noise density squared that one sample shows, times the usual one: an error that begins by a jump is not
+#: noise, and must not count as an IMU that has become NOISIER (imu_comparison.py) by itself
+ONE_JUMP = 4000.0
 #: codes of the messages, see `Imus._worded`
 ALONE, LEADS, AVERAGED, CHANGED, DIFFERS, NOISY = range(6)
 
@@ -41,6 +43,8 @@ class Book(NamedTuple):
     offset: np.ndarray  # (n, 6) constant difference to the first IMU, which is subtracted
     known: np.ndarray  # whether `offset` has been estimated
     averaged: np.ndarray  # whether the IMU agrees with the leading one, so that both are averaged
+    differing: np.ndarray  # whether the IMU agreed with the leading one, and no longer does
+    latest: np.ndarray  # (n, 6) latest difference
     differs: np.ndarray  # number of messages that it does not agree
     returns: np.ndarray  # whether it is to lead from now on
     usual: np.ndarray  # (n, 6) mean square of the difference in windows with agreement; 0: there was none
@@ -76,10 +80,10 @@ class Book(NamedTuple):
 def book_of(n: int, values: dict) -> Book:
     """The memory for n IMUs with the checked parameters `values`, before the first sample."""
     floats = {name: np.zeros((n, *shape)) for shape, names in (
-        ((), 'window count held_count interval'), ((2,), 'now noise'), ((6,), 'offset usual held'),
+        ((), 'window count held_count interval'), ((2,), 'now noise'), ((6,), 'offset usual held latest'),
         ((12,), 'quick mean variance'), ((KEPT_SAMPLES, 6), 'values'),
         ((Head.SIZE,), 'heads')) for name in names.split()}
-    flags = {name: np.zeros(n, dtype=bool) for name in ('known', 'averaged', 'returns')}
+    flags = {name: np.zeros(n, dtype=bool) for name in ('known', 'averaged', 'differing', 'returns')}
     stamps = {name: np.full(n, -1, dtype=np.int64) for name in ('newest', 'compared_at', 'mark')}
     counts = {name: np.zeros(n, dtype=np.int64) for name in ('differs', 'fault', 'kept', 'compared')}
     for head in floats['heads']:
@@ -100,21 +104,17 @@ def keep(book, i, stamp, value, dt):
     """
     if book.kept[i] > 0 and 0.0 < dt * 1e9 < book.max_gap:
         book.interval[i] += (0.1 if book.interval[i] > 0.0 else 1.0) * (dt - book.interval[i])
-        before = (book.kept[i] - 1) % KEPT_SAMPLES
+        step = value - book.values[i, (book.kept[i] - 1) % KEPT_SAMPLES]
         for half in range(2):
-            square = 0.0
-            for k in range(3 * half, 3 * half + 3):
-                step = value[k] - book.values[i, before, k]
-                square += step * step
-            density = square / 6.0 * dt
-            book.now[i, half] += max(min(1.0, dt / QUICK), 1.0 / book.kept[i]) * (density - book.now[i, half])
-            if book.kept[i] * dt > COMPARED_WINDOW:  # bounded: the usual noise grows by e in SLOW at most
+            density = (step[3 * half:3 * half + 3]**2).sum() / 6.0 * dt
+            known = book.kept[i] * dt > COMPARED_WINDOW
+            now = min(density, ONE_JUMP * book.noise[i, half]) if known else density
+            book.now[i, half] += max(min(1.0, dt / QUICK), 1.0 / book.kept[i]) * (now - book.now[i, half])
+            if known:  # bounded: the usual noise grows by e in SLOW at most
                 density = min(density, 2.0 * book.noise[i, half])
             book.noise[i, half] += max(min(1.0, dt / SLOW), 1.0 / book.kept[i]) * (density - book.noise[i, half])
-    at = book.kept[i] % KEPT_SAMPLES
-    book.stamps[i, at] = stamp
-    for k in range(6):
-        book.values[i, at, k] = value[k]
+    book.stamps[i, book.kept[i] % KEPT_SAMPLES] = stamp
+    book.values[i, book.kept[i] % KEPT_SAMPLES] = value
     book.kept[i] += 1
 
 
@@ -125,15 +125,20 @@ def patience(book, i):
 
 
 @njit
+def may_lead(book, j):
+    """Whether IMU j may lead: its offset is known, and it has agreed with the leading IMU or has never differed."""
+    return book.known[j] and (book.usual[j, 0] > 0.0 or book.differs[j] == 0)
+
+
+@njit
 def compare_anew(book, j, begin):
     """Do not average IMU j until a new window has shown that it agrees with the leading one.
 
     begin: s, 0 or negative: the window begins -begin s from now, after QUICK has settled.
     """
-    book.averaged[j] = book.returns[j] = False
+    book.averaged[j] = book.differing[j] = book.returns[j] = False
     book.window[j], book.count[j], book.held_count[j], book.compared_at[j] = begin - 4.0 * QUICK, 0.0, 0.0, -1
-    for k in range(6):
-        book.quick[j, k] = book.quick[j, 6 + k] = book.held[j, k] = 0.0
+    book.quick[j], book.held[j] = 0.0, 0.0
 
 
 @njit

@@ -3,11 +3,13 @@
 One of them leads (`imu_lead`): the first in the order of preference (`imu_topic`, then those of `inputs`) that gives
 valid samples. The filter gets samples with its stamps.
 
-Another IMU only replaces a leading one that fails, until both have agreed while the vehicle moved (`imu_comparison`).
-From then on the difference to the leading IMU, times its weight (one half for two IMUs with the same noise), is added
-to the samples. The difference is computed at the stamp of the other IMU, with the leading one interpolated, so that the
-average is not delayed. The mean of the difference over COMPARED_WINDOW is subtracted: the biases in the samples are
-always those of the first IMU, and do not jump when an IMU fails or returns.
+Another IMU only replaces a leading one that fails, until both have agreed while the vehicle moved, or have differed
+(`imu_comparison`). Where they differ, the samples are the mean of both and come with the difference: the filter finds
+out which one is right (`trust/imu_share.py`). Where they have agreed, the difference to the leading IMU, times its
+weight (one half for two IMUs with the same noise), is added to the samples. The difference is computed at the stamp of
+the other IMU, with the leading one interpolated, so that the average is not delayed. The mean of the difference over
+COMPARED_WINDOW is subtracted: the biases in the samples are always those of the first IMU, and do not jump when an IMU
+fails or returns.
 """
 from __future__ import annotations
 
@@ -48,7 +50,7 @@ class Imus:
         self._book = book_of(n, values)
         self._notices: list[Notice] = []
         self._faults = np.zeros((n, len(REASONS)), dtype=np.int64)
-        self._out_stamps, self._out = np.zeros(KEPT_SAMPLES, dtype=np.int64), np.zeros((KEPT_SAMPLES, 6))
+        self._out_stamps, self._out = np.zeros(KEPT_SAMPLES, dtype=np.int64), np.zeros((KEPT_SAMPLES, 12))
         self._origin, self._source = np.zeros(KEPT_SAMPLES, dtype=np.int64), np.zeros(1, dtype=np.int64)
 
     @property
@@ -82,7 +84,8 @@ class Imus:
         return stamp, values
 
     def add(self, i: int, stamp: int, force, rate) -> list[tuple[int, tuple[float, ...]]]:
-        """Take one message of IMU i (arguments as for `prepared`). Returns the samples to hand on: stamp, six numbers.
+        """Take one message of IMU i (arguments as for `prepared`). Returns the samples to hand on: stamp, six numbers,
+        and six of their difference (`ImuSamples.difference`).
         """
         stamps, values = self.prepared(i, np.array([stamp], dtype=np.int64), np.array([force], dtype=float),
                                        np.array([rate], dtype=float))
@@ -96,8 +99,8 @@ class Imus:
 
     def warm_up(self) -> None:
         """Compile or load the compiled code now, so that the first message is not delayed."""
-        take_all(self._book, self._source[:0], self._origin[:0], self._out[:0], 0, self._out_stamps, self._out,
-                 self._origin, self._faults, 0)
+        take_all(self._book, self._source[:0], self._origin[:0], self._out[:0, :6].copy(), 0, self._out_stamps,
+                 self._out, self._origin, self._faults, 0)
 
     def _count(self, i: int, stamp: int, fault: int) -> None:
         tally = self.tallies[self.names[i]]
@@ -120,7 +123,7 @@ class Imus:
         within = np.concatenate([np.arange(len(one)) for one in sources])[order]
         source, received = source[order], received[order]
         room = len(source) + KEPT_SAMPLES
-        out_stamps, out, origin = np.zeros(room, np.int64), np.zeros((room, 6)), np.zeros(room, np.int64)
+        out_stamps, out, origin = np.zeros(room, np.int64), np.zeros((room, 12)), np.zeros(room, np.int64)
         faults, upto, done = self._faults, 0, 0
         while upto < len(source):
             upto, done = take_all(self._book, source, stamp, values, upto, out_stamps, out, origin, faults, done)
@@ -133,8 +136,8 @@ class Imus:
         if imu.orientation is not None:
             mine = (source[origin] == 0) & (stamp[origin] == out_stamps[:done])
             orientation = np.where(mine[:, None], imu.orientation[np.where(mine, within[origin], 0)], np.nan)
-        return ImuSamples(out_stamps[:done], received[origin], out[:done, :3].copy(), out[:done, 3:].copy(),
-                          orientation)
+        return ImuSamples(out_stamps[:done], received[origin], out[:done, :3].copy(), out[:done, 3:6].copy(),
+                          orientation, difference=out[:done, 6:].copy())
 
     def _tell(self) -> None:
         for row in self._book.said[:self._book.said_count[0]]:
@@ -163,9 +166,11 @@ class Imus:
                                      f'{_component(int(numbers[0]), numbers[1])}: its biases have changed')
         if code == DIFFERS:
             text = (f'it differs from {other} by {_component(int(numbers[0]), numbers[1])}, noise explains '
-                    f'{numbers[2]:.2g}: not averaged')
-            self.found[self.names[i]] = 'warning', f'{text}, {other} is used alone'
-            return Notice('warning', f'{topic}: {text}, {other} is used alone')
+                    f'{numbers[2]:.2g}: not averaged, ')
+            text += ('which one is right is what fixes, constraints and standstills show' if self._book.differing[i]
+                     else f'{other} is used alone')
+            self.found[self.names[i]] = 'warning', text
+            return Notice('warning', f'{topic}: {text}')
         self.found.pop(self.names[i], None)
         text = f'it has become more than {NOISIER:g} times as noisy, {topic} has not'
         self.found[self.names[leader]] = 'warning', f'{text}; the samples are those of {topic}'

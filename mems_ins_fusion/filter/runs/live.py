@@ -16,6 +16,7 @@ from ..advance import TAKEN
 from ..bank import Bank
 from ..config import FilterConfig
 from ..measurements import wheel_vibration
+from ..measurements.registry import imus
 from ..memory import Event, Head, Kind, Nav, Verdict, newest_row
 from ..start.alignment import STANDING_SIGMA, Alignment
 from ..start.course import start_covariance
@@ -75,7 +76,7 @@ class FusionFilter(FilterStatus):
         self._correctors = config.correctors()
         self._celsius = math.nan
         # arguments of the kernel: one sample, and empty arrays; and one fix (new arrays are slow)
-        self._sample, self._stamp = np.zeros((1, 7)), np.zeros(1, dtype=np.int64)
+        self._sample, self._stamp = np.zeros((1, 13 if imus(config.parameters) else 7)), np.zeros(1, dtype=np.int64)
         self._columns, self._states = columns(config.layout), np.zeros((0, len(columns(config.layout))))
         self._none, self._log = np.zeros(0, dtype=np.int64), np.zeros((0, Event.SIZE))
         self._fix = Fixes(*np.zeros((2, 1), dtype=np.int64), *np.zeros((3, 1)), np.zeros((1, 3, 3)),
@@ -144,21 +145,25 @@ class FusionFilter(FilterStatus):
         """Switch the use of fixes and other measurements from satellites on or off."""
         self._using_fixes = use
 
-    def add_imu(self, stamp: int, f_x, f_y, f_z, w_x, w_y, w_z, q_x=0.0, q_y=0.0, q_z=0.0, q_w=0.0) -> bool:
+    def add_imu(self, stamp: int, f_x, f_y, f_z, w_x, w_y, w_z, q_x=0.0, q_y=0.0, q_z=0.0, q_w=0.0,
+                difference=()) -> bool:
         """Take one IMU sample, sensor axes: specific force m/s^2, angular rate rad/s. True when there is a new
         estimate.
 
-        The quaternion is `Imu.orientation`, zero where the driver has none.
+        The quaternion is `Imu.orientation`, zero where the driver has none. difference: six numbers of several IMUs, as
+        in `ImuSamples`.
         """
         sample, last = self._sample, self._now
-        sample[0, 1:] = f_x, f_y, f_z, w_x, w_y, w_z
+        sample[0, 1:7] = f_x, f_y, f_z, w_x, w_y, w_z
+        if difference:
+            sample[0, 7:] = difference
         self._stamp[0] = stamp
         if 0 < stamp - last <= self._restart_gap and last != -1 and math.isfinite(f_x + f_y + f_z + w_x + w_y + w_z):
             self._follow[0], self._follow[2] = stamp, 0  # the usual case of `follow`, without the call
             if stamp - last > self._max_gap:
                 self._say_gap((stamp - last) * 1e-9)
         else:
-            code = self.follow(self._stamp, sample[:, 1:])[0]
+            code = self.follow(self._stamp, sample[:, 1:7])[0]
             if code == JUMPED:
                 saved = None if self._memory is None else saved_at_jump(self.config, self._memory, last, stamp)
                 self.reset()
@@ -168,7 +173,7 @@ class FusionFilter(FilterStatus):
                 self.tallies['imu'].refuse(stamp, 'not a number' if code == NOT_FINITE else 'its stamp does not follow')
                 return False
         if self._correctors:
-            sample[:, 1:] = remove_effects(self._correctors, self._stamp, sample[:, 1:], np.array([self._celsius]))
+            sample[:, 1:7] = remove_effects(self._correctors, self._stamp, sample[:, 1:7], np.array([self._celsius]))
         if self._epoch is None:
             self._epoch = stamp
             if self._memory is None:
@@ -176,13 +181,13 @@ class FusionFilter(FilterStatus):
                 self.say('info', f'waiting for {self._alignment.waiting_for}')
         sample[0, 0] = (stamp - self._epoch) * 1e-9
         if self._memory is None:
-            self._alignment.add_samples(sample, [(q_x, q_y, q_z, q_w)])
+            self._alignment.add_samples(sample[:, :7], [(q_x, q_y, q_z, q_w)])
             if self._provisional is None:
                 return False
             self._filter(self._provisional, sample, self._log, self._none)
             return True
         if self._alignment.is_watching:
-            self._unseen.append(sample[0].tolist())
+            self._unseen.append(sample[0, :7].tolist())
             if len(self._unseen) == MOST_UNSEEN:
                 self._show()
         if sample[0, 0] >= self._withheld.due:

@@ -27,6 +27,7 @@ from ..memory import (
     velocity_state,
 )
 from ..prediction import UNKNOWN_TILT_SIGMA
+from ..trust import imu_share
 from ..trust.hypotheses import Hypothesis, spread
 from ..trust.white_noise import density
 
@@ -211,5 +212,6 @@ def _angular(memory, newest, r, sample, full, out):
             out[ANGULAR + k] = 0.0
             out[at] = UNKNOWN_TILT_SIGMA**2
             continue
-        out[ANGULAR + k] = sign * (memory[sample + Sample.W_X + k] - memory[r + NAV + state])
+        error = memory[r + NAV + state] + imu_share.error(memory, r, sample, 3 + k)
+        out[ANGULAR + k] = sign * (memory[sample + Sample.W_X + k] - error)
         out[at] = density(memory, sample, 3 + k) / memory[sample + Sample.INTERVAL] + memory[full + (n + 1) * state]

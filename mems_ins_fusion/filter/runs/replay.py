@@ -164,12 +164,15 @@ class Replay(Intake):
         saved, self.saved = self.saved, None
         epoch = int(self.imu.stamp[kept[0]])
         time = (self.imu.stamp[kept] - epoch) * 1e-9
-        samples = np.empty((len(kept), 7))  # filled in place: hours of samples are hundreds of megabytes
+        # filled in place: hours of samples are hundreds of megabytes
+        samples = np.empty((len(kept), 7 if self.imu.difference is None else 13))
         samples[:, 0] = time
-        samples[:, 1:4], samples[:, 4:] = self.imu.specific_force[kept], self.imu.angular_rate[kept]
+        samples[:, 1:4], samples[:, 4:7] = self.imu.specific_force[kept], self.imu.angular_rate[kept]
         if correctors:
             celsius = np.full(len(kept), np.nan) if self.imu.temperature is None else self.imu.temperature[kept]
-            samples[:, 1:] = remove_effects(correctors, self.imu.stamp[kept], samples[:, 1:].copy(), celsius)
+            samples[:, 1:7] = remove_effects(correctors, self.imu.stamp[kept], samples[:, 1:7].copy(), celsius)
+        if self.imu.difference is not None:
+            samples[:, 7:] = self.imu.difference[kept]
         events = self._events(kept, end, epoch)
         start, first = self._align(kept, samples, events, saved)
         if start is None:
@@ -234,7 +237,7 @@ class Replay(Intake):
                 continue
             upto = events.arrival[i]
             orientation = None if self.imu.orientation is None else self.imu.orientation[kept[fed:upto]]
-            alignment.add_samples(samples[fed:upto], orientation)
+            alignment.add_samples(samples[fed:upto, :7], orientation)
             fed = upto
             if found is None:
                 found, after = alignment.add_event(events.event[i], self.say), i + 1

@@ -20,6 +20,7 @@ from ..measurements.magnetometer import Magnetometer
 from ..memory import NAV, Head, Nav, Sample, StateLayout, covariance, set_covariance, views
 from ..trust.drift import Drift
 from ..trust.gyroscopes import Gyroscopes
+from ..trust.imu_share import Difference
 from ..trust.standstill import Still
 
 MOUNTING = 'imu.mounting_rpy'  # the parameter that changes
@@ -61,6 +62,7 @@ def turn(memory: np.ndarray, before: FilterConfig, after: FilterConfig) -> None:
         for column in (Still.FIRST, Still.SECOND, Still.MEAN):
             head[column:column + 3] = rotation @ head[column:column + 3]
         ring[:, Sample.F_X:Sample.W_Z + 1] = ring[:, Sample.F_X:Sample.W_Z + 1] @ both.T
+        ring[:, Difference.VALUE:Difference.GIVEN] = ring[:, Difference.VALUE:Difference.GIVEN] @ both.T
         rows[:, Drift.BIAS:Drift.BIAS + 6] = rows[:, Drift.BIAS:Drift.BIAS + 6] @ both.T
         rows[:, Gyroscopes.BEFORE:Gyroscopes.BEFORE + 3] = rows[:, Gyroscopes.BEFORE:Gyroscopes.BEFORE + 3] @ rotation.T
         for row in rows:

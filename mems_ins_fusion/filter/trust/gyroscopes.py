@@ -15,6 +15,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import NAV, ROW, Event, Head, Nav, Sample, channel_of, yaw_state
 from ..update import product, project
+from .imu_share import Share
 from .white_noise import density
 
 #: of a state
@@ -50,7 +51,7 @@ def allow_for_jump(mem, r, at, n, dimensions, sample):
         if squared > JUMP_SIGMAS**2 * (variance + mem[at + (Event.R_NN, Event.R_EE, Event.R_DD)[k]]):
             fit = False
             for i in range(n):
-                if mem[h + n * k + i] != 0.0:
+                if mem[h + n * k + i] != 0.0 and i != mem[Share.STATE]:
                     mem[p + (n + 1) * i] += squared
             mem[p + (n + 1) * yaw] += squared * unseen * unseen
     if agrees:
