@@ -55,13 +55,22 @@ def recorded(row: tuple, seed: int, minutes: float):
 
 def error(recording, values: dict, watch: RecordingWatch | None = None) -> tuple[float, LiveOutput]:
     """RMS horizontal error of the last part, m, and the drive."""
-    truth, datum = recording.reference, (recording.reference.latitude[0], recording.reference.longitude[0], 0.0)
-    run = live_output(replace(recording, reference=None), values, watch, datum, every=10)
-    north, east, _ = to_local(truth.latitude, truth.longitude, truth.height, np.array(datum))
-    begin = run.stamp >= recording.imu.stamp[-1] - LAST * (recording.imu.stamp[-1] - recording.imu.stamp[0])
-    at = (run.stamp[begin] - truth.stamp[0]) * 1e-9, (truth.stamp - truth.stamp[0]) * 1e-9
-    off = run.odometry[begin, POSITION:POSITION + 2] - np.column_stack([np.interp(*at, east), np.interp(*at, north)])
-    return float(np.sqrt((off**2).sum(axis=1).mean())), run
+    truth, imu = recording.reference, recording.imu
+    run = live_output(replace(recording, reference=None), values, watch,
+                      (truth.latitude[0], truth.longitude[0], 0.0), every=10)
+    return rms(recording, run, imu.stamp[-1] - LAST * (imu.stamp[-1] - imu.stamp[0]), imu.stamp[-1]), run
+
+
+def rms(recording, run: LiveOutput, begin: float, end: float) -> float:
+    """RMS horizontal error of a drive whose datum is the first position of the reference, m, from `begin` to `end`, ns.
+    """
+    truth = recording.reference
+    north, east, _ = to_local(truth.latitude, truth.longitude, truth.height,
+                              np.array([truth.latitude[0], truth.longitude[0], 0.0]))
+    part = (run.stamp >= begin) & (run.stamp <= end)
+    at = (run.stamp[part] - truth.stamp[0]) * 1e-9, (truth.stamp - truth.stamp[0]) * 1e-9
+    off = run.odometry[part, POSITION:POSITION + 2] - np.column_stack([np.interp(*at, east), np.interp(*at, north)])
+    return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
 def of_drive(row: tuple, seed: int, minutes: float):

@@ -9,9 +9,9 @@ the signs. Each is driven as a live node drives with `diagnosis.online: apply` a
 their begin (`diagnosis.share: 1`); without --find analyses find nothing, so that all comes from the look of each
 minute, which knows nothing of scales. For each effect: after how many seconds from the change on it was on trial,
 proven, and driven with; value and sigma beside the true one; after how many seconds the filter went on without an old
-value, and, of an antenna, when the first turn after the change begins, as it shows in turns alone. Then the RMS
-position error of the last third, m, with the parameters as given and with `apply`. --kept: the effects are known from
-an earlier drive. -v: all that was said.
+value, and, of an antenna, when the first turn after the change begins, as it shows in turns alone, and the RMS position
+error of a minute from then on. Then that of the last third, m, with the parameters as given and with `apply`. --kept:
+the effects are known from an earlier drive. -v: all that was said.
 """
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import argparse
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from online import error
+from online import error, rms
 from vehicle import FIXES, sensors
 
 from mems_ins_fusion.diagnosis.estimate import Estimate
@@ -34,6 +34,7 @@ from mems_ins_fusion.simulation.simulation import simulate_recording
 
 OFFSET, ARM = ('gnss_time_offset', {'time_offset': 0.25}), ('gnss_lever_arm', {'x': 1.2, 'y': -0.8})
 TURN = 0.15  # rad/s
+MINUTE = 60 * 10**9  # ns
 MOUNTING = 'mounting_rotation', {'yaw': 0.15}
 SCALE = 'gyroscope_scale', {'z': 0.03}  # which the analyses know, and not the look
 #: effects, and the parts of the drive in which they are there
@@ -127,7 +128,11 @@ def told(case: Case, receiver: str, row: tuple, seed: int, options) -> str:
             q.sets != had[-1] or not q.applied)]
         gone = [*dropped, *(next((to for to in changed if to >= at), np.inf) for at in taken_back)]
         end = f'; without it after {min(gone, default=np.inf) - case.end:.0f} s' if case.end else ''
-        turn = f', first turn {first_turn(case):.0f} s' if case.end and name == ARM[0] else ''
+        turn = ''
+        if case.end and name == ARM[0]:
+            begin = zero + (case.end + first_turn(case)) * 1e9
+            turn = (f', first turn {first_turn(case):.0f} s, '
+                    f'{rms(recording, run, begin, begin + MINUTE):.2f} m from then on')
         cells.append(f'{name} {true}: on trial {tried[0]:.0f}, FINE {proven[0]:.0f}, applied {applied[0]:.0f}, drives '
                      f'{drives:.0f} s; {value}{end}{turn}')
     return (f'| {receiver} {seed} | {row[1]:.0%} to {row[2]:.0%} | {"; ".join(cells)} | {", ".join(wrong) or "none"} | '

@@ -28,7 +28,7 @@ from mems_ins_fusion.filter.memory import Nav, newest_row
 from mems_ins_fusion.filter.runs import changing
 from mems_ins_fusion.filter.runs.blending import BLENDING
 from mems_ins_fusion.filter.runs.live import FusionFilter
-from mems_ins_fusion.filter.runs.odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, SIZE
+from mems_ins_fusion.filter.runs.odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION, SIZE
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import wrap, yaw_of_quaternion
 from mems_ins_fusion.nodes.identity import GNSS, IMU, Identity, differences
@@ -747,6 +747,50 @@ def test_what_an_estimate_without_a_filter_doubts_is_dropped_by_less(late):
         return [one.name for one in fusion.dropped()]
     # then it is dropped at once where the last minutes show another value, and not else
     assert dropped({NAME}) == [NAME] and dropped({'gnss_lever_arm'}) == []
+
+
+def test_where_the_fixes_speak_against_a_finding_the_estimate_goes_over_before_it_is_dropped(late):
+    # given a filter with a wrong arm of the antenna, and one without it beside it, which stand apart
+    def published(wealth):
+        fusion = changing.ChangingFilter(FilterConfig.from_parameters({
+            **APPLY, 'gnss.time_offset': OFFSET, 'gnss.lever_arm': [3.0, 0.0, 0.0], 'gnss.lever_arm_sigma': 0.0}))
+        fusion.watch({NAME: {**APPLY, 'gnss.time_offset': OFFSET}})
+        one, rows = fusion._beside[NAME], []
+        one._bets.take = lambda present, other: None
+        fed(fusion, late, 0, 120 * 20)
+
+        def look():
+            fusion.update_odometry()
+            one.fusion.update_odometry()
+            rows.append((fusion.odometry.copy(), one.fusion.odometry.copy()))
+        # when it wins so much in a second
+        one._bets.take = lambda present, other: setattr(one._bets, 'pro', math.log(wealth))
+        begin = 120 * 20
+        fed(fusion, late, begin, begin + 3 * 20, {i: look for i in range(begin, begin + 3 * 20)})
+        told = [notice.text for notice in fusion.notices() if NAME in notice.text]
+        return np.array([row[0] for row in rows]), np.array([row[1] for row in rows]), told, fusion
+    p = slice(POSITION, POSITION + 2)
+    alone, without, told, _ = published(1.0)
+    assert not told
+    apart = np.linalg.norm(without[-1, p] - alone[-1, p])
+    assert apart > 2.0
+    # then nothing changes as long as it is as likely that the finding is right
+    assert np.array_equal(published(changing.SHOWN_BETTER)[0], alone)
+    # and with ten times that the estimate goes over by nine tenths within a second, without a jump, and it is said
+    moved, _, told, fusion = published(10.0 * changing.SHOWN_BETTER)
+    part = np.linalg.norm(moved[:, p] - alone[:, p], axis=1) / np.linalg.norm(without[:, p] - alone[:, p], axis=1)
+    assert part[0] == 0.0 and np.max(np.diff(part)) < 0.06 and part[-1] == pytest.approx(0.9, abs=1e-3)
+    assert len(told) == 1 and 'without it' in told[0]
+    # with a covariance that covers the estimates of both, and so does the trust horizon
+    for other in (alone, without):
+        d = moved[-1, p] - other[-1, p]
+        assert d @ np.linalg.solve(moved[-1, POSE_COVARIANCE:LINEAR].reshape(6, 6)[:2, :2], d) < 1.3
+    assert fusion.horizon().seconds < FusionFilter.horizon(fusion).seconds
+    # and where the diagnosis takes the finding back the estimate does not jump either
+    before = moved[-1, p]
+    fusion.change(fusion._beside[NAME].fusion.config.parameters)
+    fusion.update_odometry()
+    assert np.linalg.norm(fusion.odometry[p] - before) < 0.06 * apart + 1.0
 
 
 def test_a_filter_that_is_less_sure_does_not_take_over():

@@ -828,3 +828,37 @@ def test_the_node_tells_it_as_the_replay_does(drive, peer):
         node.send(signal.SIGINT)
         assert node.wait() == 0
     assert any('diagnosis.online: gnss_time_offset COARSE (found, being tested): ' in line for line in node.lines)
+
+
+def test_the_first_start_of_the_node_compiles_what_the_diagnosis_needs():
+    # given all that the child process of a first start compiles, or has from the cache
+    script = """
+import gc
+from numba.core.dispatcher import Dispatcher
+from mems_ins_fusion.nodes import loading
+def there():
+    return {(one.py_func.__name__, types) for one in gc.get_objects() if isinstance(one, Dispatcher)
+            and one.py_func.__module__.startswith('mems_ins_fusion') for types in one.overloads}
+loading._compile()
+before = there()
+from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.gathering import chunks
+from mems_ins_fusion.diagnosis.online import Online
+from mems_ins_fusion.diagnosis.quantity import EarlierFinding
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.simulation import simulate_drive, simulate_recording
+# when two minutes with a finding of an earlier drive are looked at, tested and analysed
+recording = simulate_recording(simulate_drive(150.0, seed=2, rate=20.0)).recording
+kept = EarlierFinding('gnss_time_offset', {'time_offset': Estimate(0.1, 0.05, 's')}, {'gnss.time_offset': 0.1})
+online = Online(table.check({'diagnosis.online': 'apply'}), kept=[kept])
+for chunk in chunks(recording):
+    online.take(chunk)
+online.analyse()
+assert online._analysis.findings is not None and not online._analysis.problem
+assert all(online.applied['gnss_time_offset'].errors.values()) and len(before) > 10
+print('more:', sorted(name for name, _ in there() - before))
+"""
+    environment = {**os.environ, 'PYTHONPATH': str(REPOSITORY)}
+    answer = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True, env=environment)
+    # then no other one is compiled in the small share of a core of the diagnosis
+    assert answer.stdout.endswith('more: []\n'), answer.stdout + answer.stderr

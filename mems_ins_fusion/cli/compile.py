@@ -18,7 +18,7 @@ def main(argv: list[str] | None = None) -> int:
     from mems_ins_fusion.compiled import FOLDER
 
     parts = {'live filter': _live, 'replay': _replay, 'several IMUs': _imus, 'characterization': _characterization,
-             'effects': _effects}
+             'diagnosis': _diagnosis}
     for number, (name, part) in enumerate(parts.items(), 1):
         print(f'{number}/{len(parts)} {name} ...', end=' ', flush=True)
         began = time.monotonic()
@@ -53,13 +53,10 @@ def _imus():
     Imus(table.check({'inputs': ['second'], 'second.type': 'imu', 'second.topic': '/second'})).warm_up()
 
 
-def _effects():
-    from mems_ins_fusion.filter.config import FilterConfig
-    from mems_ins_fusion.filter.runs.replay import run
-    from mems_ins_fusion.parameters import table
+def _diagnosis():
+    from mems_ins_fusion.diagnosis.online import warm_up
 
-    recording = _drive()
-    run(FilterConfig.from_parameters(table.check({'imu.lever_arm': [1.0, 0.0, 0.0]})), recording.imu, recording.gnss)
+    warm_up(_drive())
 
 
 def _characterization():

@@ -24,6 +24,7 @@ from ..effects.registry import effect_called
 from ..errors import InputError
 from ..filter.runs.changing import Dropped
 from ..filter.runs.usable import usable
+from ..parameters import table
 from ..samples import Recording
 from .advice import WORTH, Advice, advised
 from .diagnose import diagnose
@@ -472,3 +473,11 @@ def findings_in_recording(recording: Recording, values: dict,
     """Findings of `diagnose` in `recording` that it proves there, and contradictions to parameters."""
     return [replace(f, least=systematic(f.parameters)) for f in diagnose(
         recording, values, progress, durations=ANALYSED).findings if f.added and f.changes]
+
+
+def warm_up(recording: Recording) -> None:
+    """Load the compiled functions of looks, outages and analyses, or compile them, by using them on `recording`, about
+    a minute of a drive."""
+    values = table.check({'imu.lever_arm': [1.0, 0.0, 0.0]})  # the effect with compiled functions of its own
+    direct_findings(recording, values)
+    Predictions(recording, last_seconds(recording, CHUNK)).of(values)

@@ -1,5 +1,5 @@
-"""Loads the filter's compiled functions before the first message; if they are not compiled, compiles in a child
-process.
+"""Loads the filter's compiled functions before the first message; if they or those of the diagnosis while driving are
+not compiled, compiles in a child process.
 
 A signal that interrupts the compiler in this process may be lost, end in a traceback or crash the process. A child
 process can be stopped at any time, and its compiled functions are in the cache.
@@ -73,5 +73,15 @@ def _warm_up(fusion):
     to_local(*np.zeros((3, 1)), np.zeros(3))  # of several fixes: the looks at the mounting and at other inputs
 
 
-if __name__ == '__main__':
+def _compile():
+    """Compile what a node with the usual parameters needs, and the diagnosis while driving: its process has a small
+    share of a core, so that compiling there would delay the first findings."""
+    from ..diagnosis.online import warm_up
+    from ..simulation.simulation import simulate_drive, simulate_recording
+
     _warm_up(FusionFilter(FilterConfig.from_parameters(table.defaults())))
+    warm_up(simulate_recording(simulate_drive(60.0, seed=1, rate=20.0)).recording)
+
+
+if __name__ == '__main__':
+    _compile()

@@ -4,8 +4,9 @@ The new filter begins with position, heading and speed of the present one and ge
 trial it is started in advance. The innovations of the fixes in both filters are compared each second (betting.py). The
 new filter takes over once it is shown to be better, or once it is about as certain as the present one. The replaced
 filter, which does not contain the finding that was applied, continues in parallel: if the finding becomes wrong, as
-when a driver is restarted, this filter is better within seconds and takes over at once. The published estimate does not
-jump (blending.py). All decisions depend only on stamps and values of the inputs: live and in a replay the filters
+when a driver is restarted, this filter is better within seconds and takes over at once. Before this is certain, the
+published estimate goes over to it (`ParallelFilter.share`) and its covariance covers both. It does not jump
+(blending.py). All decisions depend only on stamps and values of the inputs: live and in a replay the filters
 change at the same sample.
 """
 from __future__ import annotations
@@ -24,7 +25,7 @@ from .betting import Bets
 from .blending import Blending, blending
 from .horizon import Horizon, HorizonPredictor
 from .live import FusionFilter
-from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION
+from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION, TWIST_COVARIANCE
 from .turning import turn, turns_into
 from .turning import warm_up as warm_up_turning
 
@@ -144,14 +145,27 @@ class ParallelFilter:
         self.fusion, self.begun, self.since, self.is_new = fusion, begun, begun, is_new
         self._bets, self._compared, self._settling = Bets(), after, settling
         self._settled: int | None = None  # ns, from when on there are bets
+        self._shares, self._bet = (0.0, 0.0), begun  # `share` before the last bet and a second after it; ns, the bet
 
     def begin_anew(self) -> None:
         """Reset the comparison: both filters have to align again."""
-        self._settled = None
+        self._settled, self._shares = None, (0.0, 0.0)
 
     def is_better(self, wealth: float) -> bool:
         """Whether the wealth staked on this filter has reached `wealth`."""
         return self.fusion.aligned and self._bets.pro >= math.log(wealth)
+
+    def share(self, stamp: int) -> float:
+        """Share of this filter, which is without a finding, in the published estimate at `stamp`, ns: odds of 1 to
+        SHOWN_BETTER that the finding is wrong, times the wealth; none below equal odds. It changes within a second."""
+        before, after = self._shares
+        part = min((stamp - self._bet) / COMPARISON_PERIOD, 1.0)
+        return before + (after - before) * part if self.fusion.aligned else 0.0
+
+    @property
+    def seems_better(self) -> bool:
+        """Whether it is to have a share in the published estimate."""
+        return self._shares[1] > 0.0
 
     def compare(self, present: dict[int, tuple[float, float]], now: int) -> None:
         """Bet on the mean innovation of the fixes that both filters have processed since the last call.
@@ -171,6 +185,8 @@ class ParallelFilter:
                           for misfits in (present, own)))
         if self._bets.pro <= 0.0:
             self._bets.pro, self.since = 0.0, now
+        self._shares = self.share(now), max(1.0 - SHOWN_BETTER * math.exp(-self._bets.pro), 0.0)
+        self._bet = now
 
 
 class ChangingFilter(WatchedFilter):
@@ -187,6 +203,7 @@ class ChangingFilter(WatchedFilter):
         self._doubted: frozenset[str] = frozenset()
         self._dropped: list[Dropped] = []
         self._blending: Blending | None = None
+        self._shared = 0.0, 0.0  # north and east, m: the part of a filter without a finding in the published position
         self.handovers: list[Handover] = []
         super().__init__(config)
 
@@ -214,9 +231,15 @@ class ChangingFilter(WatchedFilter):
             return
         # where a finding is taken back, the filter without it runs already
         there = next((one for one in self._beside.values() if one.fusion.config.parameters == values), None)
+        suspected = self._suspected
+        if suspected:
+            self.update_odometry()
+        published = self.odometry.copy()
         self._next = there or self._having(values)
         self._ready = [one for one in self._ready if one is not self._next]
         self._beside = {name: one for name, one in self._beside.items() if one is not self._next}
+        if suspected and suspected != self._suspected:
+            self._begin_blending(published)
 
     def prepare(self, several: list[dict]) -> None:
         """Run a filter with each of these checked parameters in parallel, so that it has settled when it is to take
@@ -294,9 +317,12 @@ class ChangingFilter(WatchedFilter):
             other.set_start(*start)
 
     def update_odometry(self) -> int:
-        """As `FusionFilter.update_odometry`, with the transition of `blending.py` after another filter has taken over.
-        """
+        """As `FusionFilter.update_odometry`, with the part of a filter without a finding that seems to be wrong, and
+        the transition of `blending.py` after another filter has taken over."""
         stamp = super().update_odometry()
+        self._shared = 0.0, 0.0
+        for name in self._suspected:
+            self._share_with(self._beside[name], stamp)
         if self._blending is not None:
             part = self._blending.part(stamp)
             if part > 0.0:
@@ -305,12 +331,31 @@ class ChangingFilter(WatchedFilter):
                 self._blending = None
         return stamp
 
+    @property
+    def _suspected(self) -> list[str]:
+        """Name of the finding that seems to be wrong, or nothing: the one without which the fixes are met best."""
+        best = max(self._beside, key=lambda name: self._beside[name].share(self._now), default=None)
+        return [best] if best is not None and self._beside[best].share(self._now) > 0.0 else []
+
+    def _share_with(self, one: ParallelFilter, stamp: int) -> None:
+        """Let `one` have its share in the estimate at `stamp`, ns."""
+        share, other = one.share(stamp), one.fusion
+        other.datum = self.datum
+        other.update_odometry()
+        for covariance in (slice(POSE_COVARIANCE, LINEAR), slice(TWIST_COVARIANCE, None)):
+            self.odometry[covariance] += share * (other.odometry[covariance] - self.odometry[covariance])
+        self.position_covariance_enu += share * (other.position_covariance_enu - self.position_covariance_enu)
+        toward = blending(stamp, other.odometry, self.odometry)
+        toward.add_to(self.odometry, self.geodetic, self.position_covariance_enu, share)
+        self._shared = share * float(toward.position[1]), share * float(toward.position[0])
+
     def horizon(self) -> Horizon | None:
         """As `FusionFilter.horizon`, of the published estimate."""
-        if self._memory is None or self._blending is None:
+        if self._memory is None or (self._blending is None and not self._suspected):
             return super().horizon()
-        return self._horizon.predict(self._memory, added=self._blending.left(self._now),
-                                     realised=self._withheld.realised)
+        self.update_odometry()
+        added = self._blending.left(self._now) if self._blending is not None else (*self._shared, math.inf)
+        return self._horizon.predict(self._memory, added=added, realised=self._withheld.realised)
 
     def warm_up(self) -> None:
         super().warm_up()
@@ -328,8 +373,13 @@ class ChangingFilter(WatchedFilter):
     def _compare(self, now: int) -> None:
         """Compare the parallel filters, and let one take over: a filter without a finding that is wrong, else the next.
         """
+        before = [name for name, one in self._beside.items() if one.seems_better]
         for one in self._running:
             one.compare(self.misfits, now)
+        for name, one in self._beside.items():
+            if one.seems_better and name not in before:
+                self.say('warning', f'{name}: the fixes are met better without it: the estimate moves there, and its '
+                                    'covariance covers both, until it is certain whether it is wrong')
         wrong = next((name for name, one in self._beside.items() if one.is_better(
             SHOWN_BETTER if name in self._doubted else DROPPED)), None)
         if wrong is not None:
