@@ -127,6 +127,21 @@ def test_the_place_of_the_axle_below_an_imu_on_the_roof_is_found():
     assert np.mean(errors.nees < NEES_95) > 0.9 and errors.horizontal.max() < 5.0
 
 
+def test_single_refused_samples_in_a_bend_are_no_slide():
+    # given an IMU ahead of the axle, and accelerometer samples out of range in the sharpest bend, each by itself, one of
+    # which at least is one with which the constraint is applied, and for which the turn rate is assumed
+    clean = clean_drive(SEED)
+    rate = np.abs(clean.imu.angular_rate[:, 2])
+    bend = np.argmax(np.convolve(rate, np.ones(200), 'same'))
+    force = clean.imu.specific_force.copy()
+    force[bend - 55:bend + 55:11] = 1e5
+    result, errors, held = driven(replace(clean, imu=replace(clean.imu, specific_force=force)))
+    # then they are refused, and nothing else is said of the motion
+    said = ' '.join(n.text for n in result.notices)
+    assert '10 samples rejected' in said and 'sideways' not in said, said
+    assert held > 0.9
+
+
 @pytest.mark.parametrize('yaw', [0.5 * math.pi, -0.5 * math.pi, math.pi], ids=['left', 'right', 'backwards'])
 def test_a_start_in_motion_is_none_where_the_motion_shows_another_mounting(yaw):
     # given a recording that begins in motion, and an IMU that is not mounted as the parameters say

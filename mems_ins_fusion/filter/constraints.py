@@ -104,7 +104,7 @@ def constrain(mem, r, sample):
             clear_rows(mem, h, n)
         if not hides_turns(mem, shown):
             dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
-            _constrain_motion(mem, r, at, n, h, dimensions, since)
+            _constrain_motion(mem, r, at, n, h, dimensions, since, mem[sample + Sample.FAULT] == 0.0)
             _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)
         usual_speed.learn_certain_speed(mem, r)
         if usual_speed.bounds(mem, r):
@@ -167,10 +167,11 @@ def _turns(mem, r, sample, n, rate, sigmas):
 
 
 @njit(_nrt=False)
-def _constrain_motion(mem, r, at, n, h, dimensions, since):
+def _constrain_motion(mem, r, at, n, h, dimensions, since, measured):
     """Apply the components of the non-holonomic constraint one after the other, unless the vehicle violates them.
 
-    since: s since the previous application. A component is tested with the variance of its event, at any rate of the
+    since: s since the previous application. measured: whether the IMU sample is valid; the turn rate of one that is
+    bridged is assumed, and shows no slide. A component is tested with the variance of its event, at any rate of the
     IMU; it is applied with the variance for its interval (`_share`).
     """
     for k in range(dimensions):
@@ -180,7 +181,7 @@ def _constrain_motion(mem, r, at, n, h, dimensions, since):
         s = variance + project(mem, n, h + n * k, column)
         nis = innovation * innovation / s
         # without a gate every fix is used anyway, so a slide need not decide between the fixes and the IMU
-        if k == 0 and mem[Head.GATE] > 0.0 and contradiction.slides(mem, r, innovation, s, since):
+        if k == 0 and measured and mem[Head.GATE] > 0.0 and contradiction.slides(mem, r, innovation, s, since):
             contradiction.raise_uncertainty(mem, r, n, innovation, since)
             s = variance + project(mem, n, h + n * k, column)
             nis = innovation * innovation / s
