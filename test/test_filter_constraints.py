@@ -278,15 +278,18 @@ def test_a_gyroscope_that_is_shaken_does_not_brake_the_vehicle(axis, sideways, u
     assert np.mean(sigma) > 4.0, sigma
 
 
-@pytest.mark.parametrize('sideways, up', [(0.3, 100.0), (100.0, 2.0)], ids=['sideways', 'upwards'])
-def test_vibration_far_from_the_axle_does_not_change_the_speed(sideways, up):
-    # given an IMU of 100 Hz 7 m ahead of the axle, known exactly, in a vehicle that goes straight on at 10 m/s, known
-    # to 3 m/s, for 60 s with one component of the constraint, and gyroscopes with a noise of 0.03 rad/s a sample
+@pytest.mark.parametrize('sideways, up, axle', [
+    (0.3, 100.0, [-7.0, 0.0, 0.0]), (100.0, 2.0, [-7.0, 0.0, 0.0]), (0.3, 100.0, [0.0, 0.0, -2.5])],
+    ids=['sideways, ahead', 'upwards, ahead', 'sideways, above'])
+def test_vibration_far_from_the_axle_does_not_change_the_speed(sideways, up, axle):
+    # given an IMU of 100 Hz 7 m ahead of the axle or 2.5 m above it, known exactly, in a vehicle that goes straight on
+    # at 10 m/s, known to 3 m/s, for 60 s with one component of the constraint, and gyroscopes with a noise of 0.03
+    # rad/s a sample
     speed, noise = 10.0, 0.03
     config = made('GM', 'strapdown', 'closed', {
         **GOOD, 'vehicle.non_holonomic': True, 'vehicle.non_holonomic_sigma': sideways, 'imu.mounting_sigma': 0.0,
         'vehicle.non_holonomic_vertical_sigma': up, 'gyroscope.noise_density': [noise * np.sqrt(DT)],
-        'vehicle.rear_axle': [-7.0, 0.0, 0.0], 'vehicle.rear_axle_sigma': 0.0})
+        'vehicle.rear_axle': axle, 'vehicle.rear_axle_sigma': 0.0})
     scale = [1.0] * 3 + [3.0, 0.1, 0.1] + [0.01] * 3 + [1e-6] * config.layout.n_augmented
     off = []
     for seed in range(6):
@@ -296,9 +299,9 @@ def test_vibration_far_from_the_axle_does_not_change_the_speed(sideways, up):
             force = attitude_of(config, memory).inv().apply([0.0, 0.0, -9.81]) * FLU  # as if it were level
             take_sample(memory, k * DT, *force, *(noise * rng.standard_normal(3)))
         off.append(np.hypot(*velocity_of(config, memory)[:2]) - speed)
-    # then it is as fast as before within the sigma of the start: taken for a turn of the direction, the noise times 7 m
-    # makes it 65 and 5 m/s faster
-    assert np.mean(off) == pytest.approx(0.0, abs=3.0), off
+    # then it is as fast as before within 1.5 sigma of the start: taken for a turn of the direction, the noise times 7 m
+    # ahead makes it 65 and 5 m/s faster
+    assert np.mean(off) == pytest.approx(0.0, abs=4.5), off
 
 
 @pytest.mark.parametrize('noise', [(0.02, 0.01), (0.02, 0.0), (0.0, 0.0)])

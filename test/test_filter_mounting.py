@@ -128,8 +128,8 @@ def test_the_place_of_the_axle_below_an_imu_on_the_roof_is_found():
 
 
 def test_single_refused_samples_in_a_bend_are_no_slide():
-    # given an IMU ahead of the axle, and accelerometer samples out of range in the sharpest bend, each by itself, one of
-    # which at least is one with which the constraint is applied, and for which the turn rate is assumed
+    # given an IMU ahead of the axle, and accelerometer samples out of range in the sharpest bend, each by itself; with
+    # one of them at least the constraint is applied, and for all of them the turn rate is assumed
     clean = clean_drive(SEED)
     rate = np.abs(clean.imu.angular_rate[:, 2])
     bend = np.argmax(np.convolve(rate, np.ones(200), 'same'))

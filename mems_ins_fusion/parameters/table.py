@@ -162,10 +162,10 @@ FILTER = (
     Parameter('vehicle.rear_axle', [0.0, 0.0, 0.0], 'm', 'From the IMU to the middle of the axle that does not steer, '
               'base_link (forward-left-up): there the vehicle does not move sideways.', lengths=(3,), minimum=-20.0,
               maximum=20.0),
-    Parameter('vehicle.rear_axle_sigma', 3.0, 'm', 'Standard deviation of the forward component of '
-              'vehicle.rear_axle; of the lateral and the vertical one a third of it, as a vehicle is longer than wide '
-              'and high. They are estimated with vehicle.non_holonomic, the lateral one with a speed or an odometry of '
-              'wheels, the vertical one with strapdown; 0: it is exact.', minimum=0.0, maximum=10.0),
+    Parameter('vehicle.rear_axle_sigma', 3.0, 'm', 'Standard deviation of each component of vehicle.rear_axle, of the '
+              'lateral and the vertical one at most 1 m, as vehicles are longer than wide and high. They are estimated '
+              'with vehicle.non_holonomic, the lateral one with a speed or an odometry of wheels, the vertical one '
+              'with strapdown; 0: it is exact.', minimum=0.0, maximum=10.0),
     Parameter('vehicle.tilt_sigma', 0.05, 'rad', 'Standard deviation of slope and body roll, which the planar '
               'mechanization does not estimate; strapdown does not use it.', minimum=0.0, maximum=0.3),
     Parameter('horizon.limit', 5.0, 'm', 'Limit of the trust horizon, which is the time and the distance without fixes '

@@ -23,8 +23,8 @@ FIRST_NAMED = 100  # number of the first named input
 #: s, standard deviation of the time offset of stamps that is not configured: a bus, a serial line and a filter in the
 #: sensor together delay a measurement by tenths of a second
 UNDECLARED_OFFSET = 0.1
-#: width and height of a vehicle over its length: of cars, trucks and buses a third to a fifth
-SHORTER = 1.0 / 3.0
+#: m, largest standard deviation of the place of the axle sideways and up: vehicles are longer than wide and high
+BESIDE_AXLE = 1.0
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class Measurement:
     def axle_states(self, values: Mapping) -> dict[str, tuple[float, float]]:
         """The lateral offset of the axle from the IMU, as `states`, of wheels without a lever arm of their own: in a
         bend it changes their speed. All of them share it."""
-        return {'axle_y': (SHORTER * values['vehicle.rear_axle_sigma'], 0.0)} if self.is_plain else {}
+        return {'axle_y': (min(values['vehicle.rear_axle_sigma'], BESIDE_AXLE), 0.0)} if self.is_plain else {}
 
     def declared(self, settings: SensorSettings, samples):
         """`samples` converted by the settings (units, sign, known constant error)."""

@@ -30,7 +30,8 @@ MEAN_TIME = 3.0
 #: s, time constant of the long-term mean of the noise of f_y. Chosen, not measured
 LONG_MEAN_TIME = 60.0
 #: s. If the noise of f_y changes the velocity within this time by more than the sigma of the lateral constraint, the
-#: constraint takes noise for turns (`hides_turns`)
+#: constraint takes noise for turns (`hides_turns`). And the time over which noise adds up to an error of direction or
+#: velocity, beside that of a single sample (`non_holonomic._share_of_direction`)
 COMPARED_OVER = 1.0
 #: order n of the difference: of a motion at a quarter of the sampling rate, 2^n / binomial(2 n, n) of the variance
 #: counts as noise
