@@ -8,6 +8,7 @@ import pytest
 
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.evaluation.intervals import (
+    Difference,
     effective_number,
     interval_of_share,
     mean_with_error,
@@ -537,6 +538,26 @@ def test_a_filter_that_is_better_in_each_of_twelve_outages_is_better():
     # and one that is worse in most, or in the mean only, is not
     assert decide([change_in_outages(30.0, filtered, filtered * np.where(np.arange(12) < 9, 0.8, 4.0), 12)]).answer == \
         CANNOT_TELL
+
+
+@pytest.mark.parametrize('count', [5, 12, 40])
+@pytest.mark.parametrize('large', [300.0, 1e6])
+def test_one_large_outage_is_too_few_to_say_more(count, large):
+    # given outages of about 1 m, and one of them far off after the change
+    before = 1.0 + 0.1 * np.sin(np.arange(count))
+    after = before[::-1].copy()
+    after[2] = large
+    for change in (found := change_in_outages(30.0, before, after, count)), found.turned:
+        verdict = decide([change] * 3)
+        # then there is no verdict, and the interval, whose end is at thousands of km, is not told
+        assert verdict.answer == CANNOT_TELL
+        interval = change.interval(verdict.level)
+        assert interval is None or max(map(abs, interval)) < 10 * max(change.before, change.after)
+    assert because(decide([found] * 3))[0].endswith(f'(too few to say more); mean of the largest error in {count} '
+                                                    'outages')
+    # and what is certain stays certain where the end is not told: 100 times the error, within a factor of 40
+    certain = replace(found, before=1.0, after=100.0, difference=Difference(np.log(100.0), 1.6, 20.0))
+    assert certain.sign() == 1 and certain.interval() is None and decide([certain]).answer == WORSE
 
 
 def test_errors_near_zero_count_as_a_centimetre():
