@@ -560,6 +560,25 @@ def test_one_large_outage_is_too_few_to_say_more(count, large):
     assert certain.sign() == 1 and certain.interval() is None and decide([certain]).answer == WORSE
 
 
+def test_a_mean_that_one_error_makes_has_no_interval():
+    # given one outage of 300 m among 12 of about 1 m, before and after
+    before = np.array([1.0] * 6 + [300.0] + [1.0] * 5)
+    after = before * (0.5 + 0.1 * np.sin(np.arange(12)))
+    # then half the error there is one number, and nothing is certain; with 5 m instead it is the mean of several
+    assert change_in_outages(30.0, before, after, 12).difference is None
+    several = change_in_outages(30.0, np.minimum(before, 5.0), np.minimum(after, 2.5), 12)
+    assert several.difference.count == pytest.approx(6.5, abs=0.5) and several.sign() == -1
+    # and a file beside itself is the same, whatever the errors
+    assert decide([change_in_outages(30.0, before, before.copy(), 12)]).answer == SAME
+
+
+@pytest.mark.parametrize('scatter, ratio, least', [(0.5, 0.5, 0.5), (1.0, 0.1, 0.7)])
+def test_much_smaller_errors_show_in_five_outages(scatter, ratio, least):
+    rng = np.random.default_rng(5)
+    changes = [change_in_outages(30.0, *skewed(rng, 5, 1, scatter, 0.5, ratio), 5) for _ in range(300)]
+    assert np.mean([c.sign() == -1 for c in changes]) > least
+
+
 def test_errors_near_zero_count_as_a_centimetre():
     # given outages at a standstill: nothing that a user feels, though a thousandth of the error before
     still = np.full(12, 0.004)
