@@ -8,6 +8,7 @@ import pytest
 
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.evaluation.intervals import (
+    Difference,
     effective_number,
     interval_of_share,
     mean_with_error,
@@ -518,10 +519,10 @@ def test_an_interval_of_skewed_errors_holds_the_true_change(n, overlap, scatter,
         if change.difference is not None:
             low, high = change.difference.interval()
             missed += not low < np.log(ratio) < high
-            changed += change.sign() * (1 if ratio == 1.0 else 0)
+            changed += abs(change.sign()) * (ratio == 1.0)
     # then one in twenty intervals misses the true ratio of the means, by four binomial sigmas
     most = 0.05 * drives + 4 * np.sqrt(0.05 * 0.95 * drives)
-    assert missed <= most and abs(changed) <= most
+    assert missed <= most and changed <= most
 
 
 def test_a_filter_that_is_better_in_each_of_twelve_outages_is_better():
@@ -537,6 +538,45 @@ def test_a_filter_that_is_better_in_each_of_twelve_outages_is_better():
     # and one that is worse in most, or in the mean only, is not
     assert decide([change_in_outages(30.0, filtered, filtered * np.where(np.arange(12) < 9, 0.8, 4.0), 12)]).answer == \
         CANNOT_TELL
+
+
+@pytest.mark.parametrize('count', [5, 12, 40])
+@pytest.mark.parametrize('large', [300.0, 1e6])
+def test_one_large_outage_is_too_few_to_say_more(count, large):
+    # given outages of about 1 m, and one of them far off after the change
+    before = 1.0 + 0.1 * np.sin(np.arange(count))
+    after = before[::-1].copy()
+    after[2] = large
+    for change in (found := change_in_outages(30.0, before, after, count)), found.turned:
+        verdict = decide([change] * 3)
+        # then there is no verdict, and the interval, whose end is at thousands of km, is not told
+        assert verdict.answer == CANNOT_TELL
+        interval = change.interval(verdict.level)
+        assert interval is None or max(map(abs, interval)) < 10 * max(change.before, change.after)
+    assert because(decide([found] * 3))[0].endswith(f'(too few to say more); mean of the largest error in {count} '
+                                                    'outages')
+    # and what is certain stays certain where the end is not told: 100 times the error, within a factor of 40
+    certain = replace(found, before=1.0, after=100.0, difference=Difference(np.log(100.0), 1.6, 20.0))
+    assert certain.sign() == 1 and certain.interval() is None and decide([certain]).answer == WORSE
+
+
+def test_a_mean_that_one_error_makes_has_no_interval():
+    # given one outage of 300 m among 12 of about 1 m, before and after
+    before = np.array([1.0] * 6 + [300.0] + [1.0] * 5)
+    after = before * (0.5 + 0.1 * np.sin(np.arange(12)))
+    # then half the error there is one number, and nothing is certain; with 5 m instead it is the mean of several
+    assert change_in_outages(30.0, before, after, 12).difference is None
+    several = change_in_outages(30.0, np.minimum(before, 5.0), np.minimum(after, 2.5), 12)
+    assert several.difference.count == pytest.approx(6.5, abs=0.5) and several.sign() == -1
+    # and a file beside itself is the same, whatever the errors
+    assert decide([change_in_outages(30.0, before, before.copy(), 12)]).answer == SAME
+
+
+@pytest.mark.parametrize('scatter, ratio, least', [(0.5, 0.5, 0.5), (1.0, 0.1, 0.7)])
+def test_much_smaller_errors_show_in_five_outages(scatter, ratio, least):
+    rng = np.random.default_rng(5)
+    changes = [change_in_outages(30.0, *skewed(rng, 5, 1, scatter, 0.5, ratio), 5) for _ in range(300)]
+    assert np.mean([c.sign() == -1 for c in changes]) > least
 
 
 def test_errors_near_zero_count_as_a_centimetre():

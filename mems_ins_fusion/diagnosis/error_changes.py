@@ -16,6 +16,7 @@ from ..evaluation.verdict import (
     change_in_outages,
     change_with_fixes,
     decide,
+    told,
 )
 from .held_out import CERTAIN, HeldOut
 from .measured import MeasuredErrors, without_clock_of_truth
@@ -273,7 +274,7 @@ def rows_of_all_drives(comparison: Sequence[dict]) -> list[dict]:
 
 def _row(what: str, stamp, new_stamp, old, new, apart: float = np.inf, power: int = 1) -> dict:
     """Means before and after over the epochs of both (kept: their part of those before), with the 95 % interval of the
-    difference, given the mean before. power: old and new are errors in m to this power."""
+    difference, given the mean before, if it can be told. power: old and new are errors in m to this power."""
     _, a, b = np.intersect1d(stamp, new_stamp, return_indices=True)
     row = {'what': what, 'count': len(a), 'kept': len(a) / len(stamp) if len(stamp) else 1.0}
     if not len(a):
@@ -282,8 +283,10 @@ def _row(what: str, stamp, new_stamp, old, new, apart: float = np.inf, power: in
     row |= {'before': float(old.mean()), 'after': float(new.mean())}
     found = ratio(new, old, FELT**power, apart)
     if found is not None:
-        low, high = (max(row['before'], FELT**power) * float(np.expm1(end)) for end in found.interval())
-        row |= {'difference': row['after'] - row['before'], 'low': low, 'high': high, 'p': found.p}
+        row |= {'difference': row['after'] - row['before'], 'p': found.p}
+        interval = told(*found.interval(), row['before'], row['after'], power)
+        if interval is not None:
+            row |= dict(zip(('low', 'high'), interval))
     return row
 
 

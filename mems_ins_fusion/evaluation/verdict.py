@@ -25,6 +25,9 @@ FELT = 0.01
 ALIKE_PART = 0.1
 #: m, the same as an absolute difference
 ALIKE = 0.05
+#: an interval that reaches beyond this many times the larger one of two errors is not told: it says no more than that
+#: there are too few. Of 12 outages of 1 m, with one of 300 m after the change, its end would be at thousands of km
+FAR = 10.0
 
 YES, NO, TOO_CAREFUL = 'yes', 'no', 'too_careful'
 #: nominal share of errors within the 95 % ellipse
@@ -59,11 +62,11 @@ class Change:
 
     def interval(self, level: float = LEVEL) -> tuple[float, float] | None:
         """The confidence interval of after minus before, m, given this value of before; None where there are too few
-        to say."""
+        to say, or to tell it (FAR)."""
         if self.difference is None:
             return None
-        low, high = (float(np.expm1(d / power_of(self.duration))) for d in self.difference.interval(level))
-        return max(self.before, FELT) * low, max(self.before, FELT) * high
+        low, high = (d / power_of(self.duration) for d in self.difference.interval(level))
+        return told(low, high, self.before, self.after)
 
     @property
     def turned(self) -> Change:
@@ -74,10 +77,11 @@ class Change:
     def sign(self, level: float = LEVEL) -> int:
         """-1 if the error has certainly become smaller, by more than FELT; 1 if it has certainly become larger; else 0.
         """
-        interval, felt = self.interval(level), max(FELT_PART * self.before, FELT)
-        if interval is None or abs(self.after - self.before) <= felt:
+        felt = max(FELT_PART * self.before, FELT)
+        if self.difference is None or abs(self.after - self.before) <= felt:
             return 0
-        return int(interval[0] > 0) - int(interval[1] < 0)
+        low, high = self.difference.interval(level)
+        return int(low > 0) - int(high < 0)
 
     @property
     def smaller(self) -> bool:
@@ -93,6 +97,15 @@ class Change:
 def power_of(duration: float | None) -> int:
     """Of errors whose mean is compared: largest errors in outages as they are, those with fixes squared."""
     return 2 if duration is None else 1
+
+
+def told(low: float, high: float, before: float, after: float, power: int = 1) -> tuple[float, float] | None:
+    """The interval of after minus before, m, from that of the logarithm of their ratio; None where it reaches
+    too far (FAR). power: all in m to this power."""
+    floor = max(before, FELT**power)
+    if high > np.log(FAR**power * max(floor, after) / floor):
+        return None
+    return floor * float(np.expm1(low)), floor * float(np.expm1(high))
 
 
 def change_in_outages(duration: float, before: np.ndarray, after: np.ndarray, apart: float, **known) -> Change:
