@@ -1,6 +1,7 @@
 """Memory of the code for several IMUs: their newest samples, their noise, and the differences between them.
 
-`imu_comparison` writes the differences to the leading IMU, `imu_lead` chooses the leading IMU.
+`imu_comparison` writes the differences to the leading IMU, `imu_lead` chooses the leading IMU. Compiled functions of
+these files have loops instead of array expressions, which take numba several times as long to compile.
 """
 from __future__ import annotations
 
@@ -104,17 +105,22 @@ def keep(book, i, stamp, value, dt):
     """
     if book.kept[i] > 0 and 0.0 < dt * 1e9 < book.max_gap:
         book.interval[i] += (0.1 if book.interval[i] > 0.0 else 1.0) * (dt - book.interval[i])
-        step = value - book.values[i, (book.kept[i] - 1) % KEPT_SAMPLES]
+        before = (book.kept[i] - 1) % KEPT_SAMPLES
         for half in range(2):
-            density = (step[3 * half:3 * half + 3]**2).sum() / 6.0 * dt
+            square = 0.0
+            for k in range(3 * half, 3 * half + 3):
+                square += (value[k] - book.values[i, before, k])**2
+            density = square / 6.0 * dt
             known = book.kept[i] * dt > COMPARED_WINDOW
             now = min(density, ONE_JUMP * book.noise[i, half]) if known else density
             book.now[i, half] += max(min(1.0, dt / QUICK), 1.0 / book.kept[i]) * (now - book.now[i, half])
             if known:  # bounded: the usual noise grows by e in SLOW at most
                 density = min(density, 2.0 * book.noise[i, half])
             book.noise[i, half] += max(min(1.0, dt / SLOW), 1.0 / book.kept[i]) * (density - book.noise[i, half])
-    book.stamps[i, book.kept[i] % KEPT_SAMPLES] = stamp
-    book.values[i, book.kept[i] % KEPT_SAMPLES] = value
+    at = book.kept[i] % KEPT_SAMPLES
+    book.stamps[i, at] = stamp
+    for k in range(6):
+        book.values[i, at, k] = value[k]
     book.kept[i] += 1
 
 
@@ -138,7 +144,8 @@ def compare_anew(book, j, begin):
     """
     book.averaged[j] = book.differing[j] = book.returns[j] = False
     book.window[j], book.count[j], book.held_count[j], book.compared_at[j] = begin - 4.0 * QUICK, 0.0, 0.0, -1
-    book.quick[j], book.held[j] = 0.0, 0.0
+    for k in range(6):
+        book.quick[j, k] = book.quick[j, 6 + k] = book.held[j, k] = 0.0
 
 
 @njit
