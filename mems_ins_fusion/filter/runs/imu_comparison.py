@@ -17,6 +17,7 @@ from .imu_memory import (
     COMPARED_WINDOW,
     DIFFERS,
     KEPT_SAMPLES,
+    NOISIER,
     QUICK,
     SILENT,
     SLOW,
@@ -39,9 +40,6 @@ WANDER_RATE = 3e-4
 #: largest difference in standard deviations: an hour has some 7000 independent values of six components, and their
 #: distribution has tails
 SIGMAS = 8.0
-#: an IMU is not used beside another one when its noise (standard deviation) exceeds its own usual noise and the present
-#: noise of the other IMU by this factor: a rough road shakes both
-NOISIER = 10.0
 
 
 @njit

@@ -30,9 +30,13 @@ QUICK = 0.5
 #: s: a window waits for motion up to this time; an IMU that differed is not averaged for at least this time; time
 #: constant of the usual noise. Longer than a straight road or a stop
 SLOW = 60.0
-#: largest noise density squared that one sample shows, times the usual one: an error that begins by a jump is not
-#: noise, and must not count as an IMU that has become NOISIER (imu_comparison.py) by itself
-ONE_JUMP = 4000.0
+#: an IMU is not used beside another one when its noise (standard deviation) exceeds its own usual noise and the present
+#: noise of the other IMU by this factor: a rough road shakes both
+NOISIER = 10.0
+#: share of NOISIER squared by which one change from sample to sample raises the noise density squared at most: an error
+#: that begins by a jump is not noise, and neither it nor a single sample that is off, which is two changes, may count
+#: as an IMU that has become NOISIER
+ONE_CHANGE = 0.4
 #: codes of the messages, see `Imus._worded`
 ALONE, LEADS, AVERAGED, CHANGED, DIFFERS, NOISY = range(6)
 
@@ -112,8 +116,9 @@ def keep(book, i, stamp, value, dt):
                 square += (value[k] - book.values[i, before, k])**2
             density = square / 6.0 * dt
             known = book.kept[i] * dt > COMPARED_WINDOW
-            now = min(density, ONE_JUMP * book.noise[i, half]) if known else density
-            book.now[i, half] += max(min(1.0, dt / QUICK), 1.0 / book.kept[i]) * (now - book.now[i, half])
+            step = max(min(1.0, dt / QUICK), 1.0 / book.kept[i])
+            now = min(density, ONE_CHANGE * NOISIER**2 / step * book.noise[i, half]) if known else density
+            book.now[i, half] += step * (now - book.now[i, half])
             if known:  # bounded: the usual noise grows by e in SLOW at most
                 density = min(density, 2.0 * book.noise[i, half])
             book.noise[i, half] += max(min(1.0, dt / SLOW), 1.0 / book.kept[i]) * (density - book.noise[i, half])

@@ -23,9 +23,8 @@ from ...navigation.frames import mounting
 from ...samples import NO_SAMPLES, ImuSamples, Recording
 from ..measurements.inertial import InertialSettings
 from ..measurements.registry import imus
-from .imu_comparison import NOISIER
 from .imu_lead import REASONS, take_all
-from .imu_memory import ALONE, AVERAGED, CHANGED, DIFFERS, KEPT_SAMPLES, LEADS, book_of
+from .imu_memory import ALONE, AVERAGED, CHANGED, DIFFERS, KEPT_SAMPLES, LEADS, NOISIER, book_of
 from .intake import Notice
 from .tally import Tally
 
