@@ -155,8 +155,7 @@ class FusionFilter(FilterStatus):
         """
         sample, last = self._sample, self._now
         sample[0, 1:7] = f_x, f_y, f_z, w_x, w_y, w_z
-        if difference:
-            sample[0, 7:] = difference
+        sample[0, 7:] = difference or 0.0
         self._stamp[0] = stamp
         if 0 < stamp - last <= self._restart_gap and last != -1 and math.isfinite(f_x + f_y + f_z + w_x + w_y + w_z):
             self._follow[0], self._follow[2] = stamp, 0  # the usual case of `follow`, without the call
