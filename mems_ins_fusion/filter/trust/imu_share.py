@@ -12,6 +12,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
+from .. import history
 from ..memory import HEAD, NAV, SAMPLE, Head, Sample, nonnegative, sensor_variance_at
 
 #: of the settings: index of the state of the share among all n; 0 (a position state): a single IMU
@@ -116,7 +117,4 @@ def _begin(mem, r, p, size, m, s, variance):
     for j in range(m):
         mem[own + m * (s - size) + j] = mem[own + m * j + s - size] = 0.0
     mem[own + (m + 1) * (s - size)] = variance
-    if mem[Head.HISTORY_AT] > 0.0:
-        rows = int(mem[Head.HISTORY_AT])
-        for k in range(n):
-            mem[rows + n * s + k] = 0.0
+    history.forget(mem, s, n)
