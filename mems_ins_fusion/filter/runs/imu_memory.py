@@ -48,7 +48,7 @@ class Book(NamedTuple):
     offset: np.ndarray  # (n, 6) constant difference to the first IMU, which is subtracted
     known: np.ndarray  # whether `offset` has been estimated
     averaged: np.ndarray  # whether the IMU agrees with the leading one, so that both are averaged
-    differing: np.ndarray  # whether the IMU agreed with the leading one, and no longer does
+    differing: np.ndarray  # whether the IMU differs from the leading one, and `offset` is known: the filter judges both
     latest: np.ndarray  # (n, 6) latest difference
     differs: np.ndarray  # number of messages that it does not agree
     returns: np.ndarray  # whether it is to lead from now on
