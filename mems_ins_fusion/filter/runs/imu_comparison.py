@@ -199,8 +199,8 @@ def _decide(book, j, leader):
 def _learn(book, j, leader, agrees):
     """Take the mean of the window as the constant difference (`offset`) of IMU j, and average it if `agrees`."""
     if book.differing[j]:
-        # what is left may be that of other biases only: as they walk at random, SIGMAS times the change in one window is
-        # that in 64 windows, 20 minutes
+        # what is left may be the change of biases only: as they walk at random, SIGMAS times the change in one window
+        # is that in 64 windows, 20 minutes
         for k in range(6):
             wander = WANDER_FORCE if k < 3 else WANDER_RATE
             if abs(book.mean[j, k]) > max(_limit(book, j, leader, k), SIGMAS * wander):
