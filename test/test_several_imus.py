@@ -9,6 +9,8 @@ import pytest
 from mems_ins_fusion.cli.simulate import main as simulate
 from mems_ins_fusion.configuration.configure import configure
 from mems_ins_fusion.configuration.second_imu import compare_imus
+from mems_ins_fusion.filter.runs.imu_comparison import is_noisier
+from mems_ins_fusion.filter.runs.imu_memory import book_of, keep
 from mems_ins_fusion.filter.runs.imus import Imus, as_one
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
@@ -407,3 +409,18 @@ def test_the_same_sensor_twice_is_no_second_one(first, second):
     true = rotation_from_rpy(*FIRST_MOUNTING).T @ rotation_from_rpy(*TURNED)
     angle = np.arccos(np.clip((np.trace(late.rotation @ true.T) - 1) / 2, -1, 1))
     assert angle < 3 * late.sigma < np.radians(9)
+
+
+@pytest.mark.parametrize('rate', [20.0, 50.0, 200.0])
+def test_one_sample_that_is_off_is_no_noise_at_any_rate(rate):
+    # given an IMU whose usual noise is known
+    book, rng = book_of(2, VALUES), np.random.default_rng(4)
+    for k in range(round(60.0 * rate)):
+        keep(book, 0, round(k / rate * 1e9), NOISE * rng.standard_normal(6), 1.0 / rate)
+    noisier = []
+    # when one of its samples is off by thousands of it, and then more of them are
+    for k, value in enumerate((50.0, 0.0, 50.0, -50.0)):
+        keep(book, 0, round((60.0 + k / rate) * 1e9), np.full(6, value), 1.0 / rate)
+        noisier.append(is_noisier(book, 0, 1))
+    # then it does not count as noisier by the first one, which comes and goes, but by more
+    assert noisier == [False, False, True, True]

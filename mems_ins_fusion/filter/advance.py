@@ -146,11 +146,12 @@ def take_sample(memory, samples, i):
     fault = imu_faults.check(memory, samples, i, dt, speed, wrong, before_fault)
     memory[sample + Sample.FAULT] = fault
     memory[sample + Sample.RATE_SCATTER] = memory[Imu.RATE_SCATTER]
-    if samples.shape[1] > 7:
+    differ = samples.shape[1] > 7 and memory[Share.STATE] > 0.0
+    if differ:
         imu_share.take_difference(memory, before, sample, samples, i)
     if fault == Fault.NONE:
         _condition(memory, sample)
-        if samples.shape[1] > 7:
+        if differ:
             imu_share.remove_share(memory, sample)
     else:
         coast(memory, sample, before)

@@ -11,7 +11,7 @@ from mems_ins_fusion.compiled import njit
 
 from ...navigation.earth import gravity
 from ..memory import Error, Event, Nav, Sample, channel_of, element_at, row_of, sensor_variance_at
-from .geometry import add_attitude_error, rotate
+from .geometry import add_attitude_error, add_sensor_error, rotate
 
 #: m^2/s^3, power spectral density of a land vehicle's acceleration: the velocity changes by 9.5 m/s (1 sigma) in 30 s.
 #: Changes of velocity over 5 to 60 s of measured drives give 0.1 to 4.2
@@ -53,10 +53,9 @@ def observe(mem, at, h, n, c, sample, since):
     f_n, f_e, f_d = rotate(c, mem[sample + Sample.F_X], mem[sample + Sample.F_Y], mem[sample + Sample.F_Z])
     add_attitude_error(mem, h, n, f_n, f_e, f_d)
     for axis in range(3):
-        state = channel_of(mem, axis)
-        if state >= 0:
-            mem[h + state] = c[axis]
-            mem[h + n + state] = c[3 + axis]
+        if channel_of(mem, axis) >= 0:
+            f_n += add_sensor_error(mem, h, sample, axis, c[axis])
+            f_e += add_sensor_error(mem, h + n, sample, axis, c[3 + axis])
     mem[at + Event.Z_N], mem[at + Event.Z_E] = f_n, f_e
     mem[at + Event.R_NN] = mem[at + Event.R_EE] = DENSITY / since
     mem[at + Event.R_NE] = 0.0

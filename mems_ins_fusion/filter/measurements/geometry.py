@@ -8,6 +8,7 @@ from mems_ins_fusion.compiled import njit
 from ...navigation import strapdown
 from ..memory import NAV, PLANAR, Error, Event, Head, Nav, Sample, channel_of, row_of
 from ..trust import imu_share
+from ..trust.imu_share import Difference, Share
 
 
 @njit(_nrt=False)
@@ -164,3 +165,22 @@ def _rate(mem, r, sample, axis):
     if state < 0:
         return 0.0
     return mem[sample + Sample.W_X + axis] - mem[r + NAV + state] - imu_share.error(mem, r, sample, 3 + axis)
+
+
+@njit(_nrt=False)
+def sensor_error(mem, r, sample, axis):
+    """Error of sensor `axis` (0 to 5: f_x ... w_z, one that is used) of the sample at `sample`, as estimated at r."""
+    return mem[r + NAV + channel_of(mem, axis)] + imu_share.error(mem, r, sample, axis)
+
+
+@njit(_nrt=False)
+def add_sensor_error(mem, h, sample, axis, factor):
+    """Add `factor` times the error of sensor `axis` to the row of H at `h`: that of the sensor and, of two IMUs, that
+    by the share. Returns `factor` times what has been subtracted from the sample for the share, which is to be added to
+    z, as `update` subtracts H times the whole estimate."""
+    mem[h + channel_of(mem, axis)] += factor
+    if mem[Share.STATE] == 0.0:
+        return 0.0
+    difference = factor * mem[sample + Difference.VALUE + axis]
+    mem[h + int(mem[Share.STATE])] += difference
+    return mem[sample + Difference.TAKEN] * difference

@@ -9,10 +9,19 @@ from mems_ins_fusion.compiled import njit
 
 from ...parameters.parameter import Parameter
 from ...samples import Speeds
-from ..memory import NAV, Event, Head, Kind, channel_of
+from ..memory import Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, covariance36
 from .events import LARGEST_VELOCITY, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
-from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, vehicle_to_level
+from .geometry import (
+    add_body_velocity,
+    add_sensor_error,
+    along,
+    angular_rate,
+    arm_of,
+    body_velocity,
+    sensor_error,
+    vehicle_to_level,
+)
 from .low_pass import unfollowed
 from .time_offset import acceleration, add_time_offset
 
@@ -27,7 +36,7 @@ def observe(mem, r, at, h, n, c, sample):
     add_body_velocity(mem, r, h, c, 0, 1.0)
     mem[at + Event.Z_N] = body_velocity(mem, r, c, 0) + w_y * z - w_z * y - behind
     add_time_offset(mem, at, h, along(acceleration(mem, r), c, 0))
-    across, below, gyroscope = int(mem[Head.AXLE_ACROSS]), int(mem[Head.AXLE_BELOW]), channel_of(mem, 5)
+    across, below = int(mem[Head.AXLE_ACROSS]), int(mem[Head.AXLE_BELOW])
     scale = int(mem[at + Event.STATE])
     if scale >= 0:
         mem[h + scale] = -mem[at + Event.Z_N]
@@ -36,9 +45,9 @@ def observe(mem, r, at, h, n, c, sample):
             mem[h + across] = w_z
         if below >= 0:
             mem[h + below] = -w_y
-    elif gyroscope >= 0:  # with a lateral arm the speed contains the turn rate; `update` subtracts H times the estimate
-        mem[h + gyroscope] = -y
-        mem[at + Event.Z_N] -= y * mem[r + NAV + gyroscope]
+    elif channel_of(mem, 5) >= 0:  # with a lateral arm the speed contains the turn rate
+        mem[at + Event.Z_N] -= y * sensor_error(mem, r, sample, 5)  # `update` subtracts H times the estimate
+        mem[at + Event.Z_N] += add_sensor_error(mem, h, sample, 5, -y)
     mem[at + Event.Z_N] -= mem[at + Event.VALUE]
     return 1
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 from mems_ins_fusion.compiled import njit
 
 from ..memory import WHITE, Error, Event, Nav, Sample, channel_of
-from ..trust.imu_share import Difference, Share
-from .geometry import add
+from .geometry import add, add_sensor_error
 
 #: rad/s (0.2 deg/h), smallest standard deviation of an angular rate at a standstill: less than any gyroscope resolves.
 #: One that shows zeros only, and is configured without noise, would have none
@@ -28,14 +27,9 @@ def observe_rate(mem, at, h, n, sample):
     number of components."""
     count = 0
     for axis in range(3):
-        state = channel_of(mem, 3 + axis)
-        if state >= 0:
+        if channel_of(mem, 3 + axis) >= 0:
             mem[at + Event.Z_N + count] = mem[sample + Sample.W_X + axis]
-            mem[h + n * count + state] = 1.0
-            if mem[Share.STATE] > 0.0:
-                difference = mem[sample + Difference.VALUE + 3 + axis]
-                mem[h + n * count + int(mem[Share.STATE])] = difference
-                mem[at + Event.Z_N + count] += mem[sample + Difference.TAKEN] * difference
+            mem[at + Event.Z_N + count] += add_sensor_error(mem, h + n * count, sample, 3 + axis, 1.0)
             mem[at + (Event.R_NN, Event.R_EE, Event.R_DD)[count]] = _variance(mem, axis, sample)
             count += 1
     mem[at + Event.R_NE] = 0.0

@@ -17,7 +17,16 @@ from ...samples import Twists
 from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, SensorSettings, covariance36
 from .events import DIFFERENCE_STEP, LARGEST_VELOCITY, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
-from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, vehicle_to_level
+from .geometry import (
+    add_body_velocity,
+    add_sensor_error,
+    along,
+    angular_rate,
+    arm_of,
+    body_velocity,
+    sensor_error,
+    vehicle_to_level,
+)
 from .low_pass import unfollowed, unfollowed_turn
 from .time_offset import acceleration, add_time_offset
 
@@ -32,7 +41,7 @@ def observe(mem, r, at, h, n, c, sample):
     x, y, z = arm_of(mem, at)
     behind, turns = unfollowed(mem, r, at, body_velocity(mem, r, c, 0)), w_z - unfollowed_turn(mem, r, at, w_z)
     c = vehicle_to_level(mem, r, c)
-    scale, gyroscope = int(mem[at + Event.STATE]), channel_of(mem, 5)  # then the scale of the turn rate, and the yaw
+    scale = int(mem[at + Event.STATE])  # then the scale of the turn rate, and the yaw
     forward = body_velocity(mem, r, c, 0) + w_y * z - w_z * y - behind
     right = body_velocity(mem, r, c, 1) + w_z * x - w_x * z
     mem[at + Event.Z_N] = forward - mem[at + Event.VALUE]
@@ -58,13 +67,13 @@ def observe(mem, r, at, h, n, c, sample):
             mem[h + n + axle] = -w_z
         if below >= 0:
             mem[h + n + below] = w_x
-    if gyroscope >= 0 and not math.isnan(mem[at + Event.VALUE + 2]):
+    if channel_of(mem, 5) >= 0 and not math.isnan(mem[at + Event.VALUE + 2]):
         turn_scale = mem[r + NAV + scale + 1] if scale >= 0 else 0.0
         # measured = (1 + scale) (gyroscope reading - its error), linearised at the estimates of both, as both may be
         # large; `update` subtracts H times the estimates
-        error = mem[r + NAV + gyroscope]
+        error = sensor_error(mem, r, sample, 5)
         mem[at + Event.Z_D] = turns + error + turn_scale * error - mem[at + Event.VALUE + 2]
-        mem[h + 2 * n + gyroscope] = 1.0 + turn_scale
+        mem[at + Event.Z_D] += add_sensor_error(mem, h + 2 * n, sample, 5, 1.0 + turn_scale)
         if scale >= 0:
             mem[h + 2 * n + scale + 1] = -turns
     return 3

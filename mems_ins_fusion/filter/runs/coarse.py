@@ -49,17 +49,14 @@ def _merge(small, memory, k, newest):
     half = -0.5 * max(STEP, memory[at + Sample.INTERVAL])
     b_x, b_y, b_z = half * memory[at + Sample.W_X], half * memory[at + Sample.W_Y], half * memory[at + Sample.W_Z]
     a_x, a_y, a_z = b_x, b_y, b_z
-    step = v_x = v_y = v_z = cone_x = cone_y = cone_z = 0.0
-    for i in range(6):
-        small[to + Difference.VALUE + i] = 0.0
+    first, step = k, 0.0
+    v_x = v_y = v_z = cone_x = cone_y = cone_z = 0.0
     while k <= newest:
         one = nonnegative(sample_at(memory, k))
         dt = memory[one + Sample.INTERVAL]
         if step > 0.0 and (step + 0.5 * dt > STEP or dt > memory[Head.MAX_GAP]):
             break
         at, k, step = one, k + 1, step + dt
-        for i in range(6):
-            small[to + Difference.VALUE + i] += dt * memory[at + Difference.VALUE + i]
         f_x, f_y, f_z = dt * memory[at + Sample.F_X], dt * memory[at + Sample.F_Y], dt * memory[at + Sample.F_Z]
         d_x, d_y, d_z = dt * memory[at + Sample.W_X], dt * memory[at + Sample.W_Y], dt * memory[at + Sample.W_Z]
         c_x, c_y, c_z = _cross(a_x - b_x, a_y - b_y, a_z - b_z, d_x, d_y, d_z)
@@ -71,11 +68,14 @@ def _merge(small, memory, k, newest):
         a_x, a_y, a_z = a_x + d_x, a_y + d_y, a_z + d_z
         if dt > memory[Head.MAX_GAP]:
             break
-    copy(small, to, memory, at, Difference.VALUE)
-    copy(small, to + Difference.GIVEN, memory, at + Difference.GIVEN, 2)
+    copy(small, to, memory, at, Sample.SIZE)
     if step > 0.0:
         for i in range(6):
-            small[to + Difference.VALUE + i] /= step
+            total = 0.0
+            for j in range(first, k):
+                one = nonnegative(sample_at(memory, j))
+                total += memory[one + Sample.INTERVAL] * memory[one + Difference.VALUE + i]
+            small[to + Difference.VALUE + i] = total / step
         c_x, c_y, c_z = _cross(0.5 * (a_x + b_x), 0.5 * (a_y + b_y), 0.5 * (a_z + b_z), v_x, v_y, v_z)
         small[to + Sample.F_X], small[to + Sample.F_Y] = (v_x - c_x) / step, (v_y - c_y) / step
         small[to + Sample.F_Z], small[to + Sample.W_X] = (v_z - c_z) / step, (a_x - b_x + cone_x) / step

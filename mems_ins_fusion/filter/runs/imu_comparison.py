@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from mems_ins_fusion.compiled import njit
 
 from .imu_memory import (
@@ -19,6 +17,7 @@ from .imu_memory import (
     COMPARED_WINDOW,
     DIFFERS,
     KEPT_SAMPLES,
+    NOISIER,
     QUICK,
     SILENT,
     SLOW,
@@ -38,13 +37,9 @@ SHARE_RATE = 0.025
 WANDER_FORCE = 0.06
 #: rad/s, the same of gyroscopes
 WANDER_RATE = 3e-4
-WANDER = np.repeat(np.array([WANDER_FORCE, WANDER_RATE]), 3)
 #: largest difference in standard deviations: an hour has some 7000 independent values of six components, and their
 #: distribution has tails
 SIGMAS = 8.0
-#: an IMU is not used beside another one when its noise (standard deviation) exceeds its own usual noise and the present
-#: noise of the other IMU by this factor: a rough road shakes both
-NOISIER = 10.0
 
 
 @njit
@@ -63,46 +58,49 @@ def compare(book, j, leader):
         step = book.stamps[leader, later] - book.stamps[leader, earlier]
         if k > oldest and step <= book.max_gap:
             part = (stamp - book.stamps[leader, earlier]) / step
-            between = book.values[leader, earlier] + part * (book.values[leader, later] - book.values[leader, earlier])
-            _compare_one(book, j, leader, stamp, book.values[j, c % KEPT_SAMPLES], between)
+            _compare_one(book, j, leader, c % KEPT_SAMPLES, later, earlier, part)
 
 
 @njit
 def is_noisier(book, i, j):
     """Whether the noise of IMU i has become larger than its usual noise and the present one of IMU j by NOISIER."""
-    return (book.now[i] > NOISIER**2 * np.maximum(book.noise[i], book.now[j])).any()
+    for half in range(2):
+        if book.now[i, half] > NOISIER**2 * max(book.noise[i, half], book.now[j, half]):
+            return True
+    return False
 
 
 @njit
-def _compare_one(book, j, leader, stamp, value, between):
-    """Compare `value` (6,) of IMU j with `between` (6,) of the leading one at the same time, `stamp` ns."""
-    difference = value - book.offset[j] - between + book.offset[leader]
-    shown = np.concatenate((difference, between))
-    book.latest[j] = difference
-    dt = min(max((stamp - book.compared_at[j]) * 1e-9, 0.0), SILENT)
-    if book.compared_at[j] == -1:
-        dt, known = 0.0, 6 if book.averaged[j] else 0  # of an averaged IMU the low-passed difference begins at zero
-        book.quick[j, known:] = shown[known:]
+def _compare_one(book, j, leader, c, later, earlier, part):
+    """Compare sample c of IMU j with the leading IMU at the same time: `part` of the way from its sample `earlier` to
+    `later`. Samples: their places among those kept."""
+    stamp, anew = book.stamps[j, c], book.compared_at[j] == -1
+    dt = 0.0 if anew else min(max((stamp - book.compared_at[j]) * 1e-9, 0.0), SILENT)
     book.compared_at[j] = stamp
     if book.count[j] == 0.0:
-        book.mean[j], book.variance[j] = 0.0, 0.0
+        for k in range(12):
+            book.mean[j, k] = book.variance[j, k] = 0.0
     book.count[j] += 1.0
     book.window[j] += dt
-    book.quick[j] += min(1.0, dt / QUICK) * (shown - book.quick[j])
-    off = book.quick[j] - book.mean[j]
-    book.mean[j] += off / book.count[j]
-    book.variance[j] += (off * (book.quick[j] - book.mean[j]) - book.variance[j]) / book.count[j]
+    for k in range(6):
+        between = book.values[leader, earlier, k]
+        between = between + part * (book.values[leader, later, k] - between)
+        book.latest[j, k] = book.values[j, c, k] - book.offset[j, k] - between + book.offset[leader, k]
+        # of an averaged IMU the low-passed difference begins at zero
+        _low_pass(book, j, k, book.latest[j, k], dt, anew and not book.averaged[j])
+        _low_pass(book, j, 6 + k, between, dt, anew)
     if may_lead(book, j) and is_noisier(book, leader, j):
         compare_anew(book, j, 0.0)
         book.returns[j] = True
     elif book.averaged[j]:
-        book.held[j] += difference
         book.held_count[j] += 1.0
-        book.offset[j] += min(1.0, dt / COMPARED_WINDOW) * difference
-        limit = _limit(book, j, leader)
-        k = np.argmax(np.abs(book.quick[j, :6]) / limit)
-        if abs(book.quick[j, k]) > limit[k]:
-            _differs(book, j, k, book.quick[j, k], limit[k])
+        for k in range(6):
+            book.held[j, k] += book.latest[j, k]
+            book.offset[j, k] += min(1.0, dt / COMPARED_WINDOW) * book.latest[j, k]
+        k = _largest(book, j, leader, book.quick)
+        limit = _limit(book, j, leader, k)
+        if abs(book.quick[j, k]) > limit:
+            _differs(book, j, k, book.quick[j, k], limit)
     if book.window[j] < 0.0:
         book.count[j] = 0.0
     elif book.window[j] >= COMPARED_WINDOW:
@@ -110,22 +108,46 @@ def _compare_one(book, j, leader, stamp, value, between):
 
 
 @njit
-def _noise(book, i):
-    """Noise density squared of specific force and of angular rate (2,): the larger of the usual and the present one."""
-    return np.maximum(book.noise[i], book.now[i])
+def _low_pass(book, j, k, value, dt, first):
+    """Low-pass component k of the difference (from 6 on: of the sample of the leading IMU), dt s after the one before,
+    and update mean and variance in the window. first: begin with this value."""
+    if first:
+        book.quick[j, k] = value
+    book.quick[j, k] += min(1.0, dt / QUICK) * (value - book.quick[j, k])
+    off = book.quick[j, k] - book.mean[j, k]
+    book.mean[j, k] += off / book.count[j]
+    book.variance[j, k] += (off * (book.quick[j, k] - book.mean[j, k]) - book.variance[j, k]) / book.count[j]
 
 
 @njit
-def certainty_of(book, i):
-    """Inverse of `_noise` (2,), the weight of IMU i in the average; bounded for an IMU without noise."""
-    return 1.0 / np.maximum(_noise(book, i), 1e-18)
+def _noise(book, i, half):
+    """Noise density squared of specific force (half 0) or angular rate (1): the larger of the usual and the present
+    one."""
+    return max(book.noise[i, half], book.now[i, half])
 
 
 @njit
-def _limit(book, j, leader):
-    """Largest low-passed difference of IMU j to the leading one that counts as chance, (6,): SIGMAS sigma."""
-    white = (book.now[j] + book.now[leader]) / (2.0 * QUICK)
-    return SIGMAS * np.sqrt(np.maximum(book.usual[j] + np.repeat(white, 3), 1e-18))
+def certainty_of(book, i, half):
+    """Inverse of `_noise`, the weight of IMU i in the average; bounded for an IMU without noise."""
+    return 1.0 / max(_noise(book, i, half), 1e-18)
+
+
+@njit
+def _limit(book, j, leader, k):
+    """Largest low-passed difference of IMU j to the leading one that counts as chance, component k: SIGMAS sigma."""
+    white = (book.now[j, k // 3] + book.now[leader, k // 3]) / (2.0 * QUICK)
+    return SIGMAS * math.sqrt(max(book.usual[j, k] + white, 1e-18))
+
+
+@njit
+def _largest(book, j, leader, differences):
+    """Component of the difference of IMU j, in `differences` (n, 12), that is the largest relative to its `_limit`."""
+    which, most = 0, -1.0
+    for k in range(6):
+        ratio = abs(differences[j, k]) / _limit(book, j, leader, k)
+        if ratio > most:
+            which, most = k, ratio
+    return which
 
 
 @njit
@@ -141,19 +163,22 @@ def _differs(book, j, k, value, limit):
 @njit
 def _decide(book, j, leader):
     """Test the window of IMU j. Without enough motion for the test, the window is extended up to SLOW."""
-    noise = 3.0 * (_noise(book, j) + _noise(book, leader)) / (2.0 * QUICK)
     moved, worst, which, limit = True, 0.0, 0, 0.0
     for half in range(2):
         share, wander = (SHARE_FORCE, WANDER_FORCE) if half == 0 else (SHARE_RATE, WANDER_RATE)
-        motion = share**2 * book.variance[j, 6 + 3 * half:9 + 3 * half].sum()
-        apart, chance = book.variance[j, 3 * half:3 * half + 3], wander**2 + noise[half]
-        # a drift of the gyroscopes shows in the mean; accelerometer biases change by more than this test could find
-        if half == 1 and book.averaged[j]:
-            apart = apart + book.mean[j, 3:6]**2
+        noise = 3.0 * (_noise(book, j, half) + _noise(book, leader, half)) / (2.0 * QUICK)
+        motion, apart, most, largest = 0.0, 0.0, -1.0, 0
+        for k in range(3 * half, 3 * half + 3):
+            # a drift of the gyroscopes shows in the mean; accelerometer biases change by more than this test could find
+            off = book.variance[j, k] + (book.mean[j, k]**2 if half == 1 and book.averaged[j] else 0.0)
+            motion += book.variance[j, 6 + k]
+            apart += off
+            if off > most:
+                most, largest = off, k
+        motion, chance = share**2 * motion, wander**2 + noise
         moved = moved and motion > chance
-        if apart.sum() > worst * max(motion, chance):
-            worst, limit = apart.sum() / max(motion, chance), math.sqrt(max(motion, chance))
-            which = 3 * half + np.argmax(apart)
+        if apart > worst * max(motion, chance):
+            worst, limit, which = apart / max(motion, chance), math.sqrt(max(motion, chance)), largest
     wrong = worst > (1.0 if moved else 2.0)
     if not moved and not wrong and book.known[j] and book.window[j] < SLOW:
         return
@@ -162,7 +187,8 @@ def _decide(book, j, leader):
         if book.averaged[j] or book.differs[j] == 0:
             _differs(book, j, which, math.sqrt(worst) * limit, limit)
     elif moved and book.averaged[j]:
-        book.usual[j] += 0.5 * (book.variance[j, :6] + book.mean[j, :6]**2 - book.usual[j])
+        for k in range(6):
+            book.usual[j, k] += 0.5 * (book.variance[j, k] + book.mean[j, k]**2 - book.usual[j, k])
     elif moved or not book.known[j]:
         _learn(book, j, leader, moved)
     if j < leader and (book.averaged[j] or book.usual[j, 0] == 0.0):
@@ -172,17 +198,23 @@ def _decide(book, j, leader):
 @njit
 def _learn(book, j, leader, agrees):
     """Take the mean of the window as the constant difference (`offset`) of IMU j, and average it if `agrees`."""
-    mean, limit = book.mean[j, :6], _limit(book, j, leader)
-    k = np.argmax(np.abs(mean) / limit)
-    if book.differing[j] and (np.abs(mean) > np.maximum(limit, SIGMAS * WANDER)).any():
-        return
-    if agrees and book.usual[j, 0] > 0.0 and abs(mean[k]) > limit[k]:
-        say(book, CHANGED, j, k, mean[k], 0.0)
-    book.offset[j] += mean
-    book.quick[j, :6] -= mean
+    if book.differing[j]:
+        # what is left may be the change of biases only: as they walk at random, SIGMAS times the change in one window
+        # is that in 64 windows, 20 minutes
+        for k in range(6):
+            wander = WANDER_FORCE if k < 3 else WANDER_RATE
+            if abs(book.mean[j, k]) > max(_limit(book, j, leader, k), SIGMAS * wander):
+                return
+    k = _largest(book, j, leader, book.mean)
+    if agrees and book.usual[j, 0] > 0.0 and abs(book.mean[j, k]) > _limit(book, j, leader, k):
+        say(book, CHANGED, j, k, book.mean[j, k], 0.0)
+    for k in range(6):
+        book.offset[j, k] += book.mean[j, k]
+        book.quick[j, k] -= book.mean[j, k]
+        if agrees:
+            book.usual[j, k] = max(book.variance[j, k], 1e-18)
     book.known[j] = True
     if agrees:
-        book.usual[j] = np.maximum(book.variance[j, :6], 1e-18)
         book.averaged[j], book.differing[j] = True, False
         late = (book.newest[leader] - book.compared_at[j]) * 1e-9
         say(book, AVERAGED, j, late, late > patience(book, j), 0.0)

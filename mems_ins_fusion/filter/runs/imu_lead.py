@@ -7,7 +7,7 @@ leading one (`imu_comparison`) is added to the samples.
 """
 from __future__ import annotations
 
-import numpy as np
+import math
 
 from mems_ins_fusion.compiled import njit
 
@@ -51,12 +51,15 @@ def _take(book, i, stamp, value, out_stamps, out):
 @njit
 def _judge(book, i, stamp, value, dt):
     """Fault of a sample: a `Fault` or NOT_FINITE."""
-    if not np.isfinite(value.sum()):
+    total = 0.0
+    for k in range(6):
+        total += value[k]
+        book.sample[0, 1 + k] = value[k]
+    if not math.isfinite(total):
         return NOT_FINITE
     book.sample[0, 0] = (stamp - book.epoch[0]) * 1e-9
-    book.sample[0, 1:] = value
     # as if in motion, so that frozen axes are found at rest as well: a false alarm costs little beside another IMU
-    return check(book.heads[i], book.sample, 0, dt, np.inf, False)
+    return check(book.heads[i], book.sample, 0, dt, math.inf, False)
 
 
 @njit
@@ -85,7 +88,8 @@ def _hand_on(book, i, stamp, value, row, out_stamps, out):
     rows.
     """
     out_stamps[row] = stamp
-    out[row, :6], out[row, 6:] = value - book.offset[i], 0.0
+    for k in range(6):
+        out[row, k], out[row, 6 + k] = value[k] - book.offset[i, k], 0.0
     return row + 1
 
 
@@ -93,22 +97,27 @@ def _hand_on(book, i, stamp, value, row, out_stamps, out):
 def _add_others(book, i, stamp, out):
     """Add to row 0 of out the mean differences of the IMUs that agree with the leading IMU i, weighted by their noise.
     """
-    used, certainty = 1, certainty_of(book, i)
+    for half in range(2):
+        used, certainty = 1, certainty_of(book, i, half)
+        for j in range(len(book.known)):
+            if j != i and _is_used(book, j, stamp):
+                used, certainty = used + 1, certainty + certainty_of(book, j, half)
+        for j in range(len(book.known)):
+            if j != i and book.held_count[j] > 0.0 and _is_used(book, j, stamp):
+                # at most an equal share: an IMU with a low pass shows less noise than it has
+                weight = min(certainty_of(book, j, half) / certainty, 1.0 / used) / book.held_count[j]
+                for k in range(3 * half, 3 * half + 3):
+                    out[0, k] += weight * book.held[j, k]
     for j in range(len(book.known)):
-        if j != i and _is_used(book, j, stamp):
-            used, certainty = used + 1, certainty + certainty_of(book, j)
-    for j in range(len(book.known)):
-        if j != i and book.held_count[j] > 0.0 and _is_used(book, j, stamp):
-            # at most an equal share: an IMU with a low pass shows less noise than it has
-            weight = np.minimum(certainty_of(book, j) / certainty, 1.0 / used) / book.held_count[j]
-            out[0, :3] += weight[0] * book.held[j, :3]
-            out[0, 3:6] += weight[1] * book.held[j, 3:]
-        book.held[j], book.held_count[j] = 0.0, 0.0
+        book.held_count[j] = 0.0
+        for k in range(6):
+            book.held[j, k] = 0.0
     for j in range(len(book.known)):
         # the filter finds out which one is right
         if j != i and book.differing[j] and _is_there(book, j, stamp) and not is_noisier(book, j, i):
-            out[0, :6] += 0.5 * book.latest[j]
-            out[0, 6:] = book.latest[j]
+            for k in range(6):
+                out[0, k] += 0.5 * book.latest[j, k]
+                out[0, 6 + k] = book.latest[j, k]
             break
 
 
@@ -150,7 +159,8 @@ def _take_other(book, i, stamp, out_stamps, out):
     else:
         return 0
     book.leader[0], book.known[i], book.known[leader] = i, True, book.newest[leader] != -1
-    book.usual[leader] = book.usual[i]
+    for k in range(6):
+        book.usual[leader, k] = book.usual[i, k]
     book.averaged[leader], book.averaged[i], book.differs[i] = agrees, False, 0
     for j in range(len(book.known)):
         agrees, book.mark[j], book.compared[j] = book.averaged[j], book.newest[j], book.kept[j]

@@ -1,6 +1,7 @@
 """Memory of the code for several IMUs: their newest samples, their noise, and the differences between them.
 
-`imu_comparison` writes the differences to the leading IMU, `imu_lead` chooses the leading IMU.
+`imu_comparison` writes the differences to the leading IMU, `imu_lead` chooses the leading IMU. Compiled functions of
+these files have loops instead of array expressions, which take numba several times as long to compile.
 """
 from __future__ import annotations
 
@@ -29,9 +30,13 @@ QUICK = 0.5
 #: s: a window waits for motion up to this time; an IMU that differed is not averaged for at least this time; time
 #: constant of the usual noise. Longer than a straight road or a stop
 SLOW = 60.0
-#: largest noise density squared that one sample shows, times the usual one: an error that begins by a jump is not
-#: noise, and must not count as an IMU that has become NOISIER (imu_comparison.py) by itself
-ONE_JUMP = 4000.0
+#: an IMU is not used beside another one when its noise (standard deviation) exceeds its own usual noise and the present
+#: noise of the other IMU by this factor: a rough road shakes both
+NOISIER = 10.0
+#: share of NOISIER squared by which one change from sample to sample raises the noise density squared at most: an error
+#: that begins by a jump is not noise, and neither it nor a single sample that is off, which is two changes, may count
+#: as an IMU that has become NOISIER
+ONE_CHANGE = 0.4
 #: codes of the messages, see `Imus._worded`
 ALONE, LEADS, AVERAGED, CHANGED, DIFFERS, NOISY = range(6)
 
@@ -43,7 +48,7 @@ class Book(NamedTuple):
     offset: np.ndarray  # (n, 6) constant difference to the first IMU, which is subtracted
     known: np.ndarray  # whether `offset` has been estimated
     averaged: np.ndarray  # whether the IMU agrees with the leading one, so that both are averaged
-    differing: np.ndarray  # whether the IMU agreed with the leading one, and no longer does
+    differing: np.ndarray  # whether the IMU differs from the leading one, and `offset` is known: the filter judges both
     latest: np.ndarray  # (n, 6) latest difference
     differs: np.ndarray  # number of messages that it does not agree
     returns: np.ndarray  # whether it is to lead from now on
@@ -104,17 +109,23 @@ def keep(book, i, stamp, value, dt):
     """
     if book.kept[i] > 0 and 0.0 < dt * 1e9 < book.max_gap:
         book.interval[i] += (0.1 if book.interval[i] > 0.0 else 1.0) * (dt - book.interval[i])
-        step = value - book.values[i, (book.kept[i] - 1) % KEPT_SAMPLES]
+        before = (book.kept[i] - 1) % KEPT_SAMPLES
         for half in range(2):
-            density = (step[3 * half:3 * half + 3]**2).sum() / 6.0 * dt
+            square = 0.0
+            for k in range(3 * half, 3 * half + 3):
+                square += (value[k] - book.values[i, before, k])**2
+            density = square / 6.0 * dt
             known = book.kept[i] * dt > COMPARED_WINDOW
-            now = min(density, ONE_JUMP * book.noise[i, half]) if known else density
-            book.now[i, half] += max(min(1.0, dt / QUICK), 1.0 / book.kept[i]) * (now - book.now[i, half])
+            step = max(min(1.0, dt / QUICK), 1.0 / book.kept[i])
+            now = min(density, ONE_CHANGE * NOISIER**2 / step * book.noise[i, half]) if known else density
+            book.now[i, half] += step * (now - book.now[i, half])
             if known:  # bounded: the usual noise grows by e in SLOW at most
                 density = min(density, 2.0 * book.noise[i, half])
             book.noise[i, half] += max(min(1.0, dt / SLOW), 1.0 / book.kept[i]) * (density - book.noise[i, half])
-    book.stamps[i, book.kept[i] % KEPT_SAMPLES] = stamp
-    book.values[i, book.kept[i] % KEPT_SAMPLES] = value
+    at = book.kept[i] % KEPT_SAMPLES
+    book.stamps[i, at] = stamp
+    for k in range(6):
+        book.values[i, at, k] = value[k]
     book.kept[i] += 1
 
 
@@ -138,7 +149,8 @@ def compare_anew(book, j, begin):
     """
     book.averaged[j] = book.differing[j] = book.returns[j] = False
     book.window[j], book.count[j], book.held_count[j], book.compared_at[j] = begin - 4.0 * QUICK, 0.0, 0.0, -1
-    book.quick[j], book.held[j] = 0.0, 0.0
+    for k in range(6):
+        book.quick[j, k] = book.quick[j, 6 + k] = book.held[j, k] = 0.0
 
 
 @njit

@@ -3,9 +3,10 @@
 One of them leads (`imu_lead`): the first in the order of preference (`imu_topic`, then those of `inputs`) that gives
 valid samples. The filter gets samples with its stamps.
 
-Another IMU only replaces a leading one that fails, until both have agreed while the vehicle moved, or have differed
-(`imu_comparison`). Where they differ, the samples are the mean of both and come with the difference: the filter finds
-out which one is right (`trust/imu_share.py`). Where they have agreed, the difference to the leading IMU, times its
+Another IMU only replaces a leading one that fails, until both have agreed while the vehicle moved, or differ although
+their constant difference is known (`imu_comparison`). Where they differ, the samples are the mean of both and come with
+the difference: the filter finds out which one is right (`trust/imu_share.py`); of more than two IMUs it gets the
+difference of the first one that differs. Where they have agreed, the difference to the leading IMU, times its
 weight (one half for two IMUs with the same noise), is added to the samples. The difference is computed at the stamp of
 the other IMU, with the leading one interpolated, so that the average is not delayed. The mean of the difference over
 COMPARED_WINDOW is subtracted: the biases in the samples are always those of the first IMU, and do not jump when an IMU
@@ -23,9 +24,8 @@ from ...navigation.frames import mounting
 from ...samples import NO_SAMPLES, ImuSamples, Recording
 from ..measurements.inertial import InertialSettings
 from ..measurements.registry import imus
-from .imu_comparison import NOISIER
 from .imu_lead import REASONS, take_all
-from .imu_memory import ALONE, AVERAGED, CHANGED, DIFFERS, KEPT_SAMPLES, LEADS, book_of
+from .imu_memory import ALONE, AVERAGED, CHANGED, DIFFERS, KEPT_SAMPLES, LEADS, NOISIER, book_of
 from .intake import Notice
 from .tally import Tally
 

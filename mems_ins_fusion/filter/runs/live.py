@@ -155,8 +155,7 @@ class FusionFilter(FilterStatus):
         """
         sample, last = self._sample, self._now
         sample[0, 1:7] = f_x, f_y, f_z, w_x, w_y, w_z
-        if difference:
-            sample[0, 7:] = difference
+        sample[0, 7:] = difference or 0.0
         self._stamp[0] = stamp
         if 0 < stamp - last <= self._restart_gap and last != -1 and math.isfinite(f_x + f_y + f_z + w_x + w_y + w_z):
             self._follow[0], self._follow[2] = stamp, 0  # the usual case of `follow`, without the call
@@ -181,13 +180,13 @@ class FusionFilter(FilterStatus):
                 self.say('info', f'waiting for {self._alignment.waiting_for}')
         sample[0, 0] = (stamp - self._epoch) * 1e-9
         if self._memory is None:
-            self._alignment.add_samples(sample[:, :7], [(q_x, q_y, q_z, q_w)])
+            self._alignment.add_samples(sample, [(q_x, q_y, q_z, q_w)])
             if self._provisional is None:
                 return False
             self._filter(self._provisional, sample, self._log, self._none)
             return True
         if self._alignment.is_watching:
-            self._unseen.append(sample[0, :7].tolist())
+            self._unseen.append(sample[0].tolist())
             if len(self._unseen) == MOST_UNSEEN:
                 self._show()
         if sample[0, 0] >= self._withheld.due:

@@ -237,7 +237,7 @@ class Replay(Intake):
                 continue
             upto = events.arrival[i]
             orientation = None if self.imu.orientation is None else self.imu.orientation[kept[fed:upto]]
-            alignment.add_samples(samples[fed:upto, :7], orientation)
+            alignment.add_samples(samples[fed:upto], orientation)
             fed = upto
             if found is None:
                 found, after = alignment.add_event(events.event[i], self.say), i + 1

@@ -11,6 +11,7 @@ from ...navigation.earth import radii, to_local
 from ...navigation.frames import near, wrap, yaw_from_enu, yaw_of_quaternion
 from ..config import FilterConfig
 from ..measurements.position import is_without_altitude
+from ..measurements.registry import imus
 from ..memory import Event, Kind
 from ..prediction import UNKNOWN_YAW_SIGMA
 from ..trust.receiver import SHORTEST_PAIR
@@ -73,7 +74,8 @@ class Alignment:
         self.config = config
         self.waiting_for = 'IMU samples'
         self.contradicted = False  # whether the inputs contradict the parameters, so that waiting does not help
-        self._imu = np.empty((1024, 13))  # time, body-axis f and w, raw f and w
+        # time, body-axis f and w, raw f and w and, of several IMUs, their difference
+        self._imu = np.empty((1024, 19 if imus(config.parameters) else 13))
         self._count = 0
         self._blocks: Blocks | None = None  # of the samples up to the latest fix
         self._orientation: np.ndarray | None = None
@@ -103,12 +105,15 @@ class Alignment:
         self._saved = saved
 
     def add_samples(self, samples: np.ndarray, orientation=None) -> None:
-        """Add samples (k, 7) in sensor axes: time, specific force, angular rate. orientation: (k, 4) or None."""
+        """Add samples (k, 7) in sensor axes: time, specific force, angular rate. orientation: (k, 4) or None.
+
+        With several IMUs they may have six more columns, the difference, which is only kept (`samples_after`)."""
         k = len(samples)
         while self._count + k > len(self._imu):
             self._imu = np.concatenate([self._imu, np.empty_like(self._imu)])
         rows = self._imu[self._count:self._count + k]
-        rows[:, 0], rows[:, 7:13] = samples[:, 0], samples[:, 1:]
+        rows[:, 0], rows[:, 7:13] = samples[:, 0], samples[:, 1:7]
+        rows[:, 13:] = samples[:, 7:] if samples.shape[1] > 7 and rows.shape[1] > 13 else 0.0
         for i in range(6):  # summed in a fixed order, so that one sample gives the same bits as many
             total = self.config.offset[i]
             for j in range(6):
@@ -140,9 +145,9 @@ class Alignment:
         return self._imu[:self._count]
 
     def samples_after(self, time: float) -> np.ndarray:
-        """The samples later than `time`, as given: rows of time, f, w in sensor axes."""
+        """The samples later than `time`, as given: rows of time, f, w in sensor axes, difference of several IMUs."""
         imu = self._samples
-        return imu[imu[:, 0] > time][:, [0, *range(7, 13)]]
+        return imu[imu[:, 0] > time][:, [0, *range(7, imu.shape[1])]]
 
     def add_event(self, event: np.ndarray, say) -> Start | None:
         """Add one valid fix, as an event; messages to the user go to say(level, text). Returns the start once there is
