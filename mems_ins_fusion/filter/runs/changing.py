@@ -156,8 +156,9 @@ class ParallelFilter:
         return self.fusion.aligned and self._bets.pro >= math.log(wealth)
 
     def share(self, stamp: int) -> float:
-        """Share of this filter, which is without a finding, in the published estimate at `stamp`, ns: odds of 1 to
-        SHOWN_BETTER that the finding is wrong, times the wealth; none below equal odds. It changes within a second."""
+        """Share of this filter, which is without a finding, in the published estimate at `stamp`, ns: 1 less the
+        inverse of the odds that the finding is wrong, 1 to SHOWN_BETTER times the wealth; none below equal odds, from
+        where it grows without a step. It changes within a second."""
         before, after = self._shares
         part = min((stamp - self._bet) / COMPARISON_PERIOD, 1.0)
         return before + (after - before) * part if self.fusion.aligned else 0.0
@@ -203,7 +204,8 @@ class ChangingFilter(WatchedFilter):
         self._doubted: frozenset[str] = frozenset()
         self._dropped: list[Dropped] = []
         self._blending: Blending | None = None
-        self._shared = 0.0, 0.0  # north and east, m: the part of a filter without a finding in the published position
+        #: north and east, m: distance of the published position from the further one of the two filters it is between
+        self._shared = 0.0, 0.0
         self.handovers: list[Handover] = []
         super().__init__(config)
 
@@ -338,7 +340,8 @@ class ChangingFilter(WatchedFilter):
         return [best] if best is not None and self._beside[best].share(self._now) > 0.0 else []
 
     def _share_with(self, one: ParallelFilter, stamp: int) -> None:
-        """Let `one` have its share in the estimate at `stamp`, ns."""
+        """Let `one` have its share in the estimate at `stamp`, ns, with the square of the distance to the further one
+        of both in the covariances: at a small share `one` may well be right."""
         share, other = one.share(stamp), one.fusion
         other.datum = self.datum
         other.update_odometry()
@@ -346,8 +349,9 @@ class ChangingFilter(WatchedFilter):
             self.odometry[covariance] += share * (other.odometry[covariance] - self.odometry[covariance])
         self.position_covariance_enu += share * (other.position_covariance_enu - self.position_covariance_enu)
         toward = blending(stamp, other.odometry, self.odometry)
-        toward.add_to(self.odometry, self.geodetic, self.position_covariance_enu, share)
-        self._shared = share * float(toward.position[1]), share * float(toward.position[0])
+        further = max(share, 1.0 - share)
+        toward.add_to(self.odometry, self.geodetic, self.position_covariance_enu, share, further)
+        self._shared = further * float(toward.position[1]), further * float(toward.position[0])
 
     def horizon(self) -> Horizon | None:
         """As `FusionFilter.horizon`, of the published estimate."""
