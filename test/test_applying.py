@@ -825,6 +825,28 @@ def test_the_covariance_covers_both_estimates_whatever_the_share(late):
             max(share, 1.0 - share) * np.linalg.norm(other[p] - own[p]), rel=1e-6)
 
 
+def test_it_is_said_once_where_the_estimate_moves_to_another_filter_and_where_it_is_back():
+    # given two findings that are applied, and a filter without each
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
+    fusion.watch({'one': APPLY, 'two': APPLY})
+
+    def said(**shares):
+        for name, one in fusion._beside.items():
+            one.share = lambda stamp, name=name: shares.get(name, 0.0)
+        fusion._compare(0)
+        return [(notice.level, notice.text.split(':')[0]) for notice in fusion.notices()]
+    # then it is told of the one without which the fixes are met best, once,
+    assert said() == []
+    assert said(one=0.5, two=0.1) == [('warning', 'one')] and said(one=0.6, two=0.3) == []
+    assert said(one=0.6, two=0.7) == [('warning', 'two')]
+    # and so is the way back,
+    assert said() == [('info', 'two')] and said() == []
+    # but not where the finding is not applied any more
+    assert said(one=0.5) == [('warning', 'one')]
+    del fusion._beside['one']
+    assert said() == []
+
+
 def test_a_filter_that_is_less_sure_does_not_take_over():
     # given two odometries with the sigmas of a filter that has just begun, and one that drives: m and rad
     def odometry(position, yaw):

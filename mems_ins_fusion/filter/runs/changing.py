@@ -163,11 +163,6 @@ class ParallelFilter:
         part = min((stamp - self._bet) / COMPARISON_PERIOD, 1.0)
         return before + (after - before) * part if self.fusion.aligned else 0.0
 
-    @property
-    def seems_better(self) -> bool:
-        """Whether it is to have a share in the published estimate."""
-        return self._shares[1] > 0.0
-
     def compare(self, present: dict[int, tuple[float, float]], now: int) -> None:
         """Bet on the mean innovation of the fixes that both filters have processed since the last call.
 
@@ -204,6 +199,7 @@ class ChangingFilter(WatchedFilter):
         self._doubted: frozenset[str] = frozenset()
         self._dropped: list[Dropped] = []
         self._blending: Blending | None = None
+        self._said_suspected: list[str] = []  # `_suspected` of the last message on it
         #: north and east, m: distance of the published position from the further one of the two filters it is between
         self._shared = 0.0, 0.0
         self.handovers: list[Handover] = []
@@ -377,19 +373,28 @@ class ChangingFilter(WatchedFilter):
     def _compare(self, now: int) -> None:
         """Compare the parallel filters, and let one take over: a filter without a finding that is wrong, else the next.
         """
-        before = [name for name, one in self._beside.items() if one.seems_better]
         for one in self._running:
             one.compare(self.misfits, now)
-        for name, one in self._beside.items():
-            if one.seems_better and name not in before:
-                self.say('warning', f'{name}: the fixes are met better without it: the estimate moves there, and its '
-                                    'covariance covers both, until it is certain whether it is wrong')
         wrong = next((name for name, one in self._beside.items() if one.is_better(
             SHOWN_BETTER if name in self._doubted else DROPPED)), None)
         if wrong is not None:
             self._drop(wrong, now)
         elif self._next is not None:
             self._follow_up(now)
+        self._say_suspected()
+
+    def _say_suspected(self) -> None:
+        """Say where the published estimate begins to move to a filter without a finding, and where it is back; nothing
+        where that finding was dropped or taken back meanwhile."""
+        before, self._said_suspected = self._said_suspected, self._suspected
+        if self._said_suspected == before:
+            return
+        for name in self._said_suspected:
+            self.say('warning', f'{name}: the fixes are met better without it: the estimate moves there, and its '
+                                'covariance covers both, until it is certain whether it is wrong')
+        if not self._said_suspected and before[0] in self._beside:
+            self.say('info', f'{before[0]}: the fixes are no longer met better without it: the estimate is the one '
+                             'with it again')
 
     def _follow_up(self, now: int) -> None:
         other, waited = self._next.fusion, now - self._next.begun
