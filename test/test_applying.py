@@ -793,7 +793,7 @@ def test_where_the_fixes_speak_against_a_finding_the_estimate_goes_over_before_i
     assert np.linalg.norm(fusion.odometry[p] - before) < 0.06 * apart + 1.0
 
 
-def test_the_covariance_covers_both_estimates_whatever_the_share(late):
+def test_the_covariance_covers_both_estimates_whatever_the_share(late, monkeypatch):
     # given a filter with a wrong arm of the antenna, and one without it beside it, which stand apart
     right = {**APPLY, 'gnss.time_offset': OFFSET}
     fusion = changing.ChangingFilter(FilterConfig.from_parameters({
@@ -823,6 +823,12 @@ def test_the_covariance_covers_both_estimates_whatever_the_share(late):
                 assert apart @ np.linalg.solve(covers, apart) < 1.0
         assert math.hypot(*fusion._shared) == pytest.approx(
             max(share, 1.0 - share) * np.linalg.norm(other[p] - own[p]), rel=1e-6)
+    # and what is to take over has to be as certain as the filter itself, which that does not make less certain
+    compared = []
+    monkeypatch.setattr(changing, '_as_sure', lambda present, *_: compared.append(present.copy()))
+    fusion._next = one
+    fusion._follow_up(fusion._now)
+    assert np.array_equal(compared[0], own) and not np.array_equal(own, published)
 
 
 def test_it_is_said_once_where_the_estimate_moves_to_another_filter_and_where_it_is_back():

@@ -403,6 +403,7 @@ class ChangingFilter(WatchedFilter):
         elif other.aligned and waited >= SETTLING * 1e9:
             position, yaw = self._from(other)
             late = waited >= LONGEST_WAIT * 1e9
+            FusionFilter.update_odometry(self)  # its own certainty: what is published contains a part of another filter
             if (_as_sure(self.odometry, other.odometry, LOST if late else AS_SURE)
                     or self._next.is_better(SHOWN_BETTER)):
                 self._take_over(other, now, position, yaw)
