@@ -793,6 +793,66 @@ def test_where_the_fixes_speak_against_a_finding_the_estimate_goes_over_before_i
     assert np.linalg.norm(fusion.odometry[p] - before) < 0.06 * apart + 1.0
 
 
+def test_the_covariance_covers_both_estimates_whatever_the_share(late, monkeypatch):
+    # given a filter with a wrong arm of the antenna, and one without it beside it, which stand apart
+    right = {**APPLY, 'gnss.time_offset': OFFSET}
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters({
+        **right, 'gnss.lever_arm': [3.0, 0.0, 0.0], 'gnss.lever_arm_sigma': 0.0}))
+    fusion.watch({NAME: right})
+    one, end = fusion._beside[NAME], 120 * 20
+    one._bets.take = lambda present, other: None
+    fed(fusion, late, 0, end)
+    p = slice(POSITION, POSITION + 2)
+    for share in (0.1, 0.3, 0.9):
+        # when it has this share in the published estimate
+        wealth = changing.SHOWN_BETTER / (1.0 - share)
+        one._bets.take = lambda present, other, wealth=wealth: setattr(one._bets, 'pro', math.log(wealth))
+        fed(fusion, late, end, end + 3 * 20)
+        end += 3 * 20
+        FusionFilter.update_odometry(fusion)
+        own = fusion.odometry.copy()
+        fusion.update_odometry()
+        one.fusion.update_odometry()
+        published, other = fusion.odometry, one.fusion.odometry
+        assert np.linalg.norm(other[p] - own[p]) > 2.0
+        assert published[p] == pytest.approx(own[p] + share * (other[p] - own[p]), abs=1e-6)
+        # then both positions are within one sigma, of pose, fused fix and trust horizon
+        covariance = published[POSE_COVARIANCE:LINEAR].reshape(6, 6)[:2, :2]
+        for apart in (own[p] - published[p], other[p] - published[p]):
+            for covers in (covariance, fusion.position_covariance_enu.reshape(3, 3)[:2, :2]):
+                assert apart @ np.linalg.solve(covers, apart) < 1.0
+        assert math.hypot(*fusion._shared) == pytest.approx(
+            max(share, 1.0 - share) * np.linalg.norm(other[p] - own[p]), rel=1e-6)
+    # and what is to take over has to be as certain as the filter itself, which that does not make less certain
+    compared = []
+    monkeypatch.setattr(changing, '_as_sure', lambda present, *_: compared.append(present.copy()))
+    fusion._next = one
+    fusion._follow_up(fusion._now)
+    assert np.array_equal(compared[0], own) and not np.array_equal(own, published)
+
+
+def test_it_is_said_once_where_the_estimate_moves_to_another_filter_and_where_it_is_back():
+    # given two findings that are applied, and a filter without each
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
+    fusion.watch({'one': APPLY, 'two': APPLY})
+
+    def said(**shares):
+        for name, one in fusion._beside.items():
+            one.share = lambda stamp, name=name: shares.get(name, 0.0)
+        fusion._compare(0)
+        return [(notice.level, notice.text.split(':')[0]) for notice in fusion.notices()]
+    # then it is told of the one without which the fixes are met best, once,
+    assert said() == []
+    assert said(one=0.5, two=0.1) == [('warning', 'one')] and said(one=0.6, two=0.3) == []
+    assert said(one=0.6, two=0.7) == [('warning', 'two')]
+    # and so is the way back,
+    assert said() == [('info', 'two')] and said() == []
+    # but not where the finding is not applied any more
+    assert said(one=0.5) == [('warning', 'one')]
+    del fusion._beside['one']
+    assert said() == []
+
+
 def test_a_filter_that_is_less_sure_does_not_take_over():
     # given two odometries with the sigmas of a filter that has just begun, and one that drives: m and rad
     def odometry(position, yaw):

@@ -40,8 +40,10 @@ class Blending:
         part = self.part(stamp)
         return part * float(self.position[1]), part * float(self.position[0]), part * BLENDING
 
-    def add_to(self, odometry: np.ndarray, geodetic: np.ndarray, covariance: np.ndarray, part: float) -> None:
-        """Add `part` times the difference to the estimate, and its square to the covariances, in place.
+    def add_to(self, odometry: np.ndarray, geodetic: np.ndarray, covariance: np.ndarray, part: float,
+               error: float | None = None) -> None:
+        """Add `part` times the difference to the estimate, and the square of `error` times it, without it of what is
+        added, to the covariances, in place.
 
         odometry: (SIZE,) of `odometry.odometry`. geodetic: (3,) latitude, longitude (rad), height (m) of the same
         position. covariance: (9,) of this position, east-north-up, m^2.
@@ -51,11 +53,12 @@ class Blending:
         odometry[LINEAR:ANGULAR] += velocity
         w, x, y, z = multiply(from_rotation_vector(*rotation.tolist()), _quaternion(odometry))
         odometry[ORIENTATION:POSE_COVARIANCE] = x, y, z, w
-        pose = np.concatenate([position, rotation])
+        error = part if error is None else error
+        pose, moving = error * np.concatenate([self.position, self.rotation]), error * self.velocity
         odometry[POSE_COVARIANCE:LINEAR] += np.outer(pose, pose).ravel()
-        odometry[TWIST_COVARIANCE:].reshape(6, 6)[:3, :3] += np.outer(velocity, velocity)
+        odometry[TWIST_COVARIANCE:].reshape(6, 6)[:3, :3] += np.outer(moving, moving)
         _move(geodetic, *position.tolist())
-        covariance += np.outer(position, position).ravel()
+        covariance += np.outer(pose[:3], pose[:3]).ravel()
 
 
 def blending(begun: int, published: np.ndarray, new: np.ndarray) -> Blending:

@@ -156,16 +156,12 @@ class ParallelFilter:
         return self.fusion.aligned and self._bets.pro >= math.log(wealth)
 
     def share(self, stamp: int) -> float:
-        """Share of this filter, which is without a finding, in the published estimate at `stamp`, ns: odds of 1 to
-        SHOWN_BETTER that the finding is wrong, times the wealth; none below equal odds. It changes within a second."""
+        """Share of this filter, which is without a finding, in the published estimate at `stamp`, ns: 1 less the
+        inverse of the odds that the finding is wrong, 1 to SHOWN_BETTER times the wealth; none below equal odds, from
+        where it grows without a step. It changes within a second."""
         before, after = self._shares
         part = min((stamp - self._bet) / COMPARISON_PERIOD, 1.0)
         return before + (after - before) * part if self.fusion.aligned else 0.0
-
-    @property
-    def seems_better(self) -> bool:
-        """Whether it is to have a share in the published estimate."""
-        return self._shares[1] > 0.0
 
     def compare(self, present: dict[int, tuple[float, float]], now: int) -> None:
         """Bet on the mean innovation of the fixes that both filters have processed since the last call.
@@ -203,7 +199,9 @@ class ChangingFilter(WatchedFilter):
         self._doubted: frozenset[str] = frozenset()
         self._dropped: list[Dropped] = []
         self._blending: Blending | None = None
-        self._shared = 0.0, 0.0  # north and east, m: the part of a filter without a finding in the published position
+        self._said_suspected: list[str] = []  # `_suspected` of the last message on it
+        #: north and east, m: distance of the published position from the further one of the two filters it is between
+        self._shared = 0.0, 0.0
         self.handovers: list[Handover] = []
         super().__init__(config)
 
@@ -338,7 +336,8 @@ class ChangingFilter(WatchedFilter):
         return [best] if best is not None and self._beside[best].share(self._now) > 0.0 else []
 
     def _share_with(self, one: ParallelFilter, stamp: int) -> None:
-        """Let `one` have its share in the estimate at `stamp`, ns."""
+        """Let `one` have its share in the estimate at `stamp`, ns, with the square of the distance to the further one
+        of both in the covariances: at a small share `one` may well be right."""
         share, other = one.share(stamp), one.fusion
         other.datum = self.datum
         other.update_odometry()
@@ -346,8 +345,9 @@ class ChangingFilter(WatchedFilter):
             self.odometry[covariance] += share * (other.odometry[covariance] - self.odometry[covariance])
         self.position_covariance_enu += share * (other.position_covariance_enu - self.position_covariance_enu)
         toward = blending(stamp, other.odometry, self.odometry)
-        toward.add_to(self.odometry, self.geodetic, self.position_covariance_enu, share)
-        self._shared = share * float(toward.position[1]), share * float(toward.position[0])
+        further = max(share, 1.0 - share)
+        toward.add_to(self.odometry, self.geodetic, self.position_covariance_enu, share, further)
+        self._shared = further * float(toward.position[1]), further * float(toward.position[0])
 
     def horizon(self) -> Horizon | None:
         """As `FusionFilter.horizon`, of the published estimate."""
@@ -373,19 +373,28 @@ class ChangingFilter(WatchedFilter):
     def _compare(self, now: int) -> None:
         """Compare the parallel filters, and let one take over: a filter without a finding that is wrong, else the next.
         """
-        before = [name for name, one in self._beside.items() if one.seems_better]
         for one in self._running:
             one.compare(self.misfits, now)
-        for name, one in self._beside.items():
-            if one.seems_better and name not in before:
-                self.say('warning', f'{name}: the fixes are met better without it: the estimate moves there, and its '
-                                    'covariance covers both, until it is certain whether it is wrong')
         wrong = next((name for name, one in self._beside.items() if one.is_better(
             SHOWN_BETTER if name in self._doubted else DROPPED)), None)
         if wrong is not None:
             self._drop(wrong, now)
         elif self._next is not None:
             self._follow_up(now)
+        self._say_suspected()
+
+    def _say_suspected(self) -> None:
+        """Say where the published estimate begins to move to a filter without a finding, and where it is back; nothing
+        where that finding was dropped or taken back meanwhile."""
+        before, self._said_suspected = self._said_suspected, self._suspected
+        if self._said_suspected == before:
+            return
+        for name in self._said_suspected:
+            self.say('warning', f'{name}: the fixes are met better without it: the estimate moves there, and its '
+                                'covariance covers both, until it is certain whether it is wrong')
+        if not self._said_suspected and before[0] in self._beside:
+            self.say('info', f'{before[0]}: the fixes are no longer met better without it: the estimate is the one '
+                             'with it again')
 
     def _follow_up(self, now: int) -> None:
         other, waited = self._next.fusion, now - self._next.begun
@@ -394,6 +403,7 @@ class ChangingFilter(WatchedFilter):
         elif other.aligned and waited >= SETTLING * 1e9:
             position, yaw = self._from(other)
             late = waited >= LONGEST_WAIT * 1e9
+            FusionFilter.update_odometry(self)  # its own certainty: what is published contains a part of another filter
             if (_as_sure(self.odometry, other.odometry, LOST if late else AS_SURE)
                     or self._next.is_better(SHOWN_BETTER)):
                 self._take_over(other, now, position, yaw)
