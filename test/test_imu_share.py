@@ -185,7 +185,7 @@ def differing_from_the_start():
 
 
 def test_live_and_replay_give_the_same_bits_where_two_differ_before_the_start():
-    # given two IMUs that differ from the first sample on, and fixes that come late, so that the filter takes the samples
+    # given two IMUs that differ from the first sample on, and fixes that come late, so that the filter takes samples
     # since the fix of its start once more; when they are replayed and run live
     imu, fixes = differing_from_the_start()
     fixes = replace(fixes, received=fixes.stamp + 400_000_000)
