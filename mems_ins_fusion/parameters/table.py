@@ -162,7 +162,7 @@ FILTER = (
     Parameter('vehicle.rear_axle', [0.0, 0.0, 0.0], 'm', 'From the IMU to the middle of the axle that does not steer, '
               'base_link (forward-left-up): there the vehicle does not move sideways.', lengths=(3,), minimum=-20.0,
               maximum=20.0),
-    Parameter('vehicle.rear_axle_sigma', 3.0, 'm', 'Standard deviation of each component of vehicle.rear_axle, of the '
+    Parameter('vehicle.rear_axle_sigma', 1.0, 'm', 'Standard deviation of each component of vehicle.rear_axle, of the '
               'lateral and the vertical one at most 1 m, as vehicles are longer than wide and high. They are estimated '
               'with vehicle.non_holonomic, the lateral one with a speed or an odometry of wheels, the vertical one '
               'with strapdown; 0: it is exact.', minimum=0.0, maximum=10.0),
