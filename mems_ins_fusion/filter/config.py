@@ -16,7 +16,7 @@ from ..sensor_errors.models import MODELS, GaussMarkov, Model, RandomWalk, per_a
 from .bank import Bank
 from .history import history_size
 from .measurements import wheel_vibration
-from .measurements.base import BESIDE_AXLE, Measurement, SensorSettings
+from .measurements.base import Measurement, SensorSettings, beside_axle_sigma
 from .measurements.registry import aiding, imus, inputs
 from .memory import (
     BY_NAME,
@@ -424,7 +424,7 @@ def _extras(values: dict, is_level: bool) -> tuple[Extra, ...]:
         slow('mounting_yaw', values['imu.mounting_sigma'])
         slow('axle_x', values['vehicle.rear_axle_sigma'])
         if not is_level:
-            slow('axle_z', min(values['vehicle.rear_axle_sigma'], BESIDE_AXLE))
+            slow('axle_z', beside_axle_sigma(values))
     slow('time_offset', values['gnss.time_offset_sigma'], values['gnss.time_offset_walk'])
     for measurement in aiding(values):
         if values[measurement.topic]:

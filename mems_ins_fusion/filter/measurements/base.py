@@ -27,6 +27,11 @@ UNDECLARED_OFFSET = 0.1
 BESIDE_AXLE = 1.0
 
 
+def beside_axle_sigma(values: Mapping) -> float:
+    """Standard deviation of the lateral and of the vertical component of vehicle.rear_axle, m."""
+    return min(values['vehicle.rear_axle_sigma'], BESIDE_AXLE)
+
+
 @dataclass(frozen=True)
 class SensorSettings:
     """Settings of any input but the fixes.
@@ -159,7 +164,7 @@ class Measurement:
     def axle_states(self, values: Mapping) -> dict[str, tuple[float, float]]:
         """The lateral offset of the axle from the IMU, as `states`, of wheels without a lever arm of their own: in a
         bend it changes their speed. All of them share it."""
-        return {'axle_y': (min(values['vehicle.rear_axle_sigma'], BESIDE_AXLE), 0.0)} if self.is_plain else {}
+        return {'axle_y': (beside_axle_sigma(values), 0.0)} if self.is_plain else {}
 
     def declared(self, settings: SensorSettings, samples):
         """`samples` converted by the settings (units, sign, known constant error)."""

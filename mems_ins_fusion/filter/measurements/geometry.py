@@ -88,6 +88,20 @@ def arm_of(mem, at):
 
 
 @njit(_nrt=False)
+def axle_of(mem, r):
+    """Lever arm from the IMU to the point that does not go sideways, as estimated at r, body axes, m."""
+    x, y, z = mem[Head.AXLE_X], mem[Head.AXLE_Y], mem[Head.AXLE_Z]
+    axle, across, below = int(mem[Head.AXLE]), int(mem[Head.AXLE_ACROSS]), int(mem[Head.AXLE_BELOW])
+    if axle >= 0:
+        x += mem[r + NAV + axle]
+    if across >= 0:
+        y += mem[r + NAV + across]
+    if below >= 0:
+        z += mem[r + NAV + below]
+    return x, y, z
+
+
+@njit(_nrt=False)
 def add_attitude_error(mem, h, n, u_n, u_e, u_d):
     """Add to three rows of H (north, east, down) the derivative phi x u of a body-fixed vector u, given in n."""
     add(mem, h, Error.PHI_E, u_d)

@@ -13,7 +13,7 @@ from mems_ins_fusion.compiled import njit
 from ..memory import NAV, Error, Event, Head, Sample, row_of
 from ..trust.white_noise import COMPARED_OVER, density
 from ..update import product
-from .geometry import add_body_velocity, angular_rate, body_velocity, second_order, vehicle_to_level
+from .geometry import add_body_velocity, angular_rate, axle_of, body_velocity, second_order, vehicle_to_level
 
 
 @njit(_nrt=False)
@@ -71,13 +71,11 @@ def observe(mem, r, at, h, n, c, sample):
         mem[h + yaw] = forward
         lateral += forward * turn
     mem[at + Event.Z_N] = lateral
-    x, y, z = mem[Head.AXLE_X], mem[Head.AXLE_Y], mem[Head.AXLE_Z]
     if axle >= 0:
         mem[h + axle] = -w_z
-        x += mem[r + NAV + axle]
     if below >= 0:
         mem[h + below] = w_x
-        z += mem[r + NAV + below]
+    x, y, z = axle_of(mem, r)
     share = _share_of_direction(mem, sample, 5, forward, x, z, density(mem, sample, 1))
     _turn_back(mem, r, h, n, c, lateral, forward, mem[Head.LATERAL_SIGMA], share)
     angle = (mem[Head.ANGLE_SIGMA] * forward) ** 2
@@ -93,7 +91,6 @@ def observe(mem, r, at, h, n, c, sample):
         mem[h + n + axle] = w_y
     if across >= 0:
         mem[h + n + across] = -w_x
-        y += mem[r + NAV + across]
     if pitch >= 0:
         mem[h + n + pitch] = -forward
         vertical -= forward * mem[r + NAV + pitch]

@@ -14,6 +14,7 @@ from mems_ins_fusion.compiled import njit
 
 from .. import history
 from ..memory import HEAD, NAV, SAMPLE, Head, Sample, nonnegative, sensor_variance_at
+from .hypotheses import LOST_NATS
 
 #: of the settings: index of the state of the share among all n; 0 (a position state): a single IMU
 Share = HEAD.place('Share', STATE=1)
@@ -26,8 +27,6 @@ BEGIN_VARIANCE = 0.25
 #: variance of the share where it is decided. It leaves a thousandth of the difference (1 sigma), as a state with its
 #: variance: of 5 deg/s 0.005 deg/s, less than the biases of the sensors, which are estimated beside it
 DECIDED_VARIANCE = 1e-6
-#: nats by which one of the two values has to be more likely than the other: a ratio of 8000, as hypotheses.LOST_NATS
-DECIDED_NATS = 9.0
 #: largest difference of the share from that value, standard deviations: otherwise both are wrong
 DECIDED_SIGMAS = 3.0
 #: a column of zeros
@@ -101,7 +100,7 @@ def decided(mem, r):
     share, variance = mem[r + NAV + state], mem[sensor_variance_at(mem, r, state)]
     value = math.copysign(0.5, share)
     # once decided, the variance is smaller: a share has no process noise
-    if (variance < DECIDED_VARIANCE or abs(share) < DECIDED_NATS * variance
+    if (variance < DECIDED_VARIANCE or abs(share) < LOST_NATS * variance
             or (share - value) ** 2 > DECIDED_SIGMAS**2 * variance):
         return 0.0
     return value

@@ -10,7 +10,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..measurements import magnetometer
-from ..measurements.geometry import angular_rate, arm_of, body_velocity, rotate, vehicle_to_level
+from ..measurements.geometry import angular_rate, arm_of, axle_of, body_velocity, rotate, vehicle_to_level
 from ..measurements.low_pass import LowPass
 from ..memory import INPUT, NAV, Event, Head, Kind, Nav, input_at, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
@@ -521,13 +521,13 @@ def integrate_displacement(mem, r, at, n, c, sample):
         yaw = (magnetometer.heading(mem, r, at, c) if kind == Kind.MAGNETIC else
                mem[at + Event.VALUE] - known + unfollowed)
         v_n, v_e = math.cos(yaw) * forward, math.sin(yaw) * forward
-        x, y, z = _axle(mem, r), 0.0, 0.0
+        x, y, z = axle_of(mem, r)[0], 0.0, 0.0
         density *= forward * forward
     else:
         vehicle = vehicle_to_level(mem, r, c)
         forward = mem[at + Event.VALUE] / (1.0 + known) + unfollowed
         v_n, v_e = vehicle[0] * forward, vehicle[3] * forward
-        x = _axle(mem, r)
+        x = axle_of(mem, r)[0]
         yaw_variance = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * yaw_state(mem)]
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     x, y, z = mem[Head.LEVER_X] - x, mem[Head.LEVER_Y] - y, mem[Head.LEVER_Z] - z
@@ -541,13 +541,6 @@ def integrate_displacement(mem, r, at, n, c, sample):
     goes = abs(body_velocity(mem, r, vehicle_to_level(mem, r, c), 0))
     if kind != Kind.VELOCITY and math.hypot(north, east) > max(goes, SLOWEST_SPEED):
         displacement.interrupt(mem, input_at(mem, r, at))  # a turn on the spot moves the antenna, and fits any speed
-
-
-@njit(_nrt=False)
-def _axle(mem, r):
-    """How far before the IMU the point is that does not go sideways, m, as estimated."""
-    axle = int(mem[Head.AXLE])
-    return mem[Head.AXLE_X] + (mem[r + NAV + axle] if axle >= 0 else 0.0)
 
 
 @njit(_nrt=False)
