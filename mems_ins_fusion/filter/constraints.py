@@ -172,19 +172,23 @@ def _constrain_motion(mem, r, at, n, h, dimensions, since, measured):
 
     since: s since the previous application. measured: whether the IMU sample is valid; the turn rate of one that is
     bridged is assumed, and shows no slide. A component is tested with the variance of its event, at any rate of the
-    IMU; it is applied with the variance for its interval (`_share`).
+    IMU; it is applied with the variance for its interval (`_share`), and so that the variance of what it measures does
+    not become smaller than the second-order term that the linearisation omits. That term is the same at each
+    application while the errors are: as noise it would be averaged, and the filter would take the difference of
+    successive applications, which comes from its own corrections of the speed, for knowledge of speed and direction.
     """
     for k in range(dimensions):
         z, variance = mem[at + Event.Z_N + k], mem[at + (Event.R_NN if k == 0 else Event.R_EE)]
         column = h + (3 + k) * n
         innovation = z - product(mem, n, h + n * k, r + NAV)
-        s = variance + project(mem, n, h + n * k, column)
-        nis = innovation * innovation / s
+        omitted, prior = mem[at + non_holonomic.SECOND_ORDER[k]], project(mem, n, h + n * k, column)
+        s = prior + variance + omitted
         # without a gate every fix is used anyway, so a slide need not decide between the fixes and the IMU
         if k == 0 and measured and mem[Head.GATE] > 0.0 and contradiction.slides(mem, r, innovation, s, since):
             contradiction.raise_uncertainty(mem, r, n, innovation, since)
-            s = variance + project(mem, n, h + n * k, column)
-            nis = innovation * innovation / s
+            prior = project(mem, n, h + n * k, column)
+            s = prior + variance + omitted
+        nis = innovation * innovation / s
         mem[at + Event.Z_N + k] = innovation
         mem[at + (Event.S_NN if k == 0 else Event.S_EE)] = s
         running = Nav.LATERAL_NIS if k == 0 else Nav.VERTICAL_NIS
@@ -196,9 +200,12 @@ def _constrain_motion(mem, r, at, n, h, dimensions, since, measured):
         if off:
             mem[r + Nav.SIDEWAYS] += since if k == 0 else 0.0
             continue
-        if nis > ROBUST**2:
-            s *= nis / ROBUST**2  # R is raised until the normalized innovation is ROBUST
-        correct_by_scalar(mem, r, n, h + n * k, column, z, s - (1.0 - _share(since)) * variance)
+        if prior <= omitted:
+            continue
+        # R is raised until the normalized innovation is ROBUST
+        noise = max(nis / ROBUST**2, 1.0) * s - prior - omitted - (1.0 - _share(since)) * variance
+        noise = max(noise, prior * omitted / (prior - omitted))
+        correct_by_scalar(mem, r, n, h + n * k, column, z, prior + noise)
 
 
 @njit(_nrt=False)

@@ -154,8 +154,8 @@ def _along(mem, p, n, first, c, axis):
 def second_order(mem, n, c, axis, mounting):
     """Second-order term of a constraint: variance of (error of forward speed) x (error of angle), m^2/s^2.
 
-    The linearisation omits this product; without it a speed error of some m/s is estimated as an angle (P. S. Maybeck,
-    "Stochastic Models, Estimation, and Control", vol. 2, 1982, ch. 12). axis: body axis of the angle.
+    The linearisation omits this product (P. S. Maybeck, "Stochastic Models, Estimation, and Control", vol. 2, 1982,
+    ch. 12). axis: body axis of the angle.
     mounting: index of the mounting state that adds to the angle, or -1. P is at the start of the scratch.
     """
     p = int(mem[Head.SCRATCH_AT])

@@ -15,6 +15,10 @@ from ..trust.white_noise import COMPARED_OVER, density
 from ..update import product
 from .geometry import add_body_velocity, angular_rate, axle_of, body_velocity, second_order, vehicle_to_level
 
+#: columns of the event that hold the second-order term of each component (`geometry.second_order`), m^2/s^2. The
+#: components are applied one after the other, and there is no third one
+SECOND_ORDER = Event.R_NE, Event.R_DD
+
 
 @njit(_nrt=False)
 def _turn_back(mem, r, h, n, c, z, forward, sigma, share):
@@ -52,6 +56,8 @@ def observe(mem, r, at, h, n, c, sample):
     independent, lowers the speed each time, and makes P smaller: with white noise of 0.2 rad/s of a gyroscope an
     estimate of 26 m/s became 0 within a minute, sigma 0.6 m/s. So the rows are turned back (`_turn_back`), by the
     share of the direction in the innovation (`_share_of_direction`), in the axes of the parameters' mounting.
+
+    What the linearisation omits is not in R, as it is no noise: it stays for as long as the errors do (SECOND_ORDER).
     """
     yaw, pitch = int(mem[Head.MOUNTING_YAW]), int(mem[Head.MOUNTING_PITCH])
     axle, across, below = int(mem[Head.AXLE]), int(mem[Head.AXLE_ACROSS]), int(mem[Head.AXLE_BELOW])
@@ -80,9 +86,8 @@ def observe(mem, r, at, h, n, c, sample):
     _turn_back(mem, r, h, n, c, lateral, forward, mem[Head.LATERAL_SIGMA], share)
     angle = (mem[Head.ANGLE_SIGMA] * forward) ** 2
     mem[at + Event.R_NN] = (mem[Head.LATERAL_SIGMA] ** 2 + angle
-                            + (mem[Head.SLIP_SIGMA] * acceleration * forward) ** 2
-                            + second_order(mem, n, c, 2, yaw))
-    mem[at + Event.R_NE] = 0.0
+                            + (mem[Head.SLIP_SIGMA] * acceleration * forward) ** 2)
+    mem[at + SECOND_ORDER[0]] = second_order(mem, n, c, 2, yaw)
     if row_of(mem, Error.V_D) < 0:
         return 1
     vertical = body_velocity(mem, r, c, 2) + w_x * mem[Head.AXLE_Y] - w_y * mem[Head.AXLE_X]
@@ -97,5 +102,6 @@ def observe(mem, r, at, h, n, c, sample):
     share = _share_of_direction(mem, sample, 4, forward, x, y, density(mem, sample, 2))
     _turn_back(mem, r, h + n, n, c, vertical, forward, mem[Head.VERTICAL_SIGMA], share)
     mem[at + Event.Z_E] = vertical
-    mem[at + Event.R_EE] = mem[Head.VERTICAL_SIGMA] ** 2 + angle + second_order(mem, n, c, 1, pitch)
+    mem[at + Event.R_EE] = mem[Head.VERTICAL_SIGMA] ** 2 + angle
+    mem[at + SECOND_ORDER[1]] = second_order(mem, n, c, 1, pitch)
     return 2
