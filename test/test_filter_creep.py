@@ -70,6 +70,28 @@ def test_the_speed_of_a_creep_is_found_although_fixes_correct_the_filter():
     assert memory[r + Creep.VARIANCE] < 0.05**2
 
 
+@pytest.mark.parametrize('speed, goes_on', [(0.9, True), (0.0, False)])
+def test_a_creep_goes_on_over_an_interruption_unless_fixes_have_excluded_it(speed, goes_on):
+    # given 20 s of fixes during a standstill that was a creep, or one, and then 5 s in which it seems to move
+    memory, r, at, n = at_first_update()
+    event = event_at(memory, 0)
+    for seconds in np.arange(1.0, 21.0):
+        memory[event + Event.TIME] = memory[r + Standing.TIME] = seconds
+        memory[event + Event.Z_N:event + Event.Z_N + 2] = -speed * seconds * FORWARD
+        crept(memory, r, event, SIGMA**2, 0.0)
+    before = memory[r + Creep.ODDS:r + Creep.FOUND].copy()
+    # when the next standstill begins
+    memory[r + Nav.TIME] = 25.0
+    note_standstill(memory, r, at, n, 0.1, 2.0, ODDS)
+    # then what the fixes have told of a creep is kept, but for the time that it has been quiet
+    after = memory[r + Creep.ODDS:r + Creep.FOUND]
+    assert (before[0] < 1e3) == goes_on
+    if goes_on:
+        assert after[1:] == pytest.approx(before[1:]) and after[0] == pytest.approx(before[0], rel=0.1)
+    else:
+        assert after[0] == ODDS and after[3] == CREEP_VARIANCE
+
+
 @pytest.mark.parametrize('odds', [1.0, 1e12])
 def test_a_creep_that_fixes_have_excluded_may_begin_anew(odds):
     # given a minute of fixes that agree with a standstill, which was doubtful or sure

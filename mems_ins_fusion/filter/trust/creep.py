@@ -51,11 +51,14 @@ MOTION_TIME = 60.0
 def note_standstill(mem, r, p, n, since, quiet, odds):
     """Begin the hypothesis with the first zero-velocity update of a standstill, to be applied to the state at r.
 
+    One that fixes have not excluded goes on: a creep is often quiet with interruptions of some seconds, and the state
+    is off by all of them.
+
     p: position of P, of n states; the update moves the position by what it has in common with the velocity, too. since:
     s since the previous application of a constraint. quiet: s for which the vehicle has been as quiet as at rest. odds:
     `standstill.odds_of_standing`; they rise during the standstill.
     """
-    if stands(mem, r) and mem[r + Creep.ODDS] > 0.0:
+    if mem[r + Creep.ODDS] > 0.0 and (stands(mem, r) or mem[r + Creep.ODDS] < UNNOTICED_START):
         mem[r + Creep.ODDS] *= (CREEP_TIME + quiet) / (CREEP_TIME + quiet - since)
         return
     v, w = velocity_state(mem), velocity_state(mem) + 1
