@@ -104,6 +104,21 @@ def test_perfect_sensors_on_a_level_road_give_the_mounting_to_a_hundredth_of_a_d
     assert np.abs(found.bias).max() < 0.01
 
 
+def test_a_bias_of_the_gyroscope_is_no_sideways_motion():
+    # given a car whose gyroscope shows 0.1 rad/s about the vertical axis when it stands, and the same without
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    biased, plain = (recording(seed=5, sensors=replace(sensors, gyroscope_bias=(0.0, 0.0, bias)), sigma=1.0, rate=1.0)
+                     for bias in (0.1, 0.0))
+    # when the vehicle is assessed by either
+    seen = []
+    for made in (biased, plain):
+        found = estimate_mounting(made.imu, made.gnss, lag=0.0)
+        seen.append([found.turned, assess_vehicle(made.imu, np.zeros(len(made.imu), bool), found, 1.0).sideways])
+    # then it goes where it points, to the same decimetre per second, and has turned by the same angle
+    assert seen[0] == pytest.approx(seen[1], rel=0.1)
+    assert seen[0][1] < 0.5
+
+
 def test_sigmas_are_honest():
     # given drives of four minutes with other biases, roads and receivers
     scores = []

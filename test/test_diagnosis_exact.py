@@ -11,7 +11,7 @@ from mems_ins_fusion.configuration.offset import Offset
 from mems_ins_fusion.diagnosis import conclusion, exact
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.estimate import Estimate
-from mems_ins_fusion.diagnosis.exact import HELD, with_what_is_held
+from mems_ins_fusion.diagnosis.exact import HELD, SMOOTHINGS, of_smoothing, with_what_is_held
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.fit import fit
 from mems_ins_fusion.diagnosis.held_out import HeldOut
@@ -164,6 +164,43 @@ def test_an_effect_is_plain_with_what_is_held_unless_it_shows_for_certain_withou
     assert diagnose(late, table.check({}), effects=effects, durations=(10.0,)).corrected['gnss.time_offset'] > 0.2
     monkeypatch.setattr(TrialRuns, 'certain', ())
     assert diagnose(late, table.check({}), effects=effects, durations=(10.0,)).corrected['gnss.time_offset'] == 0.0
+
+
+def smoothing_drive(sigma, tau):
+    """Five minutes in a city with a receiver of that noise, m, and smoothing, s."""
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    return simulate_recording(simulate_drive(300.0, 3, 25.0, standstill=10.0), sensors,
+                              GnssNoise(sigma, 1.0, smoothing=tau), seed=3).recording
+
+
+def test_a_receiver_that_may_smooth_is_in_the_sigma_of_an_offset():
+    # given fixes that are smoothed, with which an offset was fitted without that
+    made = smoothing_drive(1.5, 0.8)
+    model, given = fitted(made, 0.0)
+    problem = model.problem
+    # when offsets each 10 ms are tried with each of the smoothings that may be; longer ones are far less likely
+    tried, best = np.arange(-0.1, 0.1, 0.01), []
+    for tau in (0.0, *SMOOTHINGS[:3]):
+        likely = [problem.residual({**problem.values, 'gnss.time_offset': offset, 'gnss.lag_per_acceleration': tau**2},
+                                   problem.recording).log_likelihood()[problem.mask].sum() for offset in tried]
+        best.append((max(likely), tried[np.argmax(likely)]))
+    likelihoods, offsets = np.array(best).T
+    # then the sigma has what these offsets differ by, each as likely as it is
+    weight = np.exp(likelihoods - likelihoods.max())
+    expected = np.sqrt(weight @ (offsets - model.x[0]) ** 2 / weight.sum())
+    assert of_smoothing(model, given) == pytest.approx(expected, rel=0.1, abs=0.005)
+    assert expected > 0.01
+    assert of_smoothing(model, given | {'gnss.lag_per_acceleration': 0.5}) == 0.0  # it is known
+
+
+def test_where_fixes_show_that_nothing_smooths_the_sigma_of_an_offset_stays():
+    # given fixes of 2 cm as they are: half a second of smoothing would be decimetres
+    model, given = fitted(smoothing_drive(0.02, 0.0), 0.0)
+    assert of_smoothing(model, given) < 0.1 * model.sigma()[0]
+    # and a model that has the smoothing knows what it leaves open
+    problem = model.problem
+    [lag] = effect_unknowns(EFFECTS['gnss_lag'], {}, problem.attitude)
+    assert of_smoothing(fit(problem, [*model.unknowns, lag], np.append(model.x, 0.0), 1), given) == 0.0
 
 
 def test_other_effects_are_left_alone(drive):

@@ -312,6 +312,31 @@ def test_the_page_is_written_as_the_test_reads_it():
     assert written(new, {}) == new
 
 
+def test_the_table_of_measured_drives_is_written_from_reports():
+    from pages_from_commands import TABLE_COMMANDS, table_commands, with_table
+
+    # given README, and a report for each replay of the section with its commands
+    page = (REPOSITORY / 'README.md').read_text(encoding='utf-8')
+    commands = table_commands(TABLE_COMMANDS.read_text(encoding='utf-8'))
+    replays = [words for words in commands if words[3] == 'replay_node']
+    changes = [{'duration_s': 0.0, 'after_m': 9.0, 'before_m': 9.0}] + [
+        {'duration_s': d, 'after_m': d / 9.0, 'before_m': 7.0 * d} for d in (10.0, 30.0, 60.0)]
+    report = {'runs': [{'update_interval_s': 1.0, 'horizontal_rmse_m': 1.234}, {'update_interval_s': 3.0}],
+              'verdict': {'changes': changes},
+              'outages': [{'count': n, 'within_95_percent': held} for n, held in ((7, 99.6), (5, 80.0), (3, 0.0))]}
+    # when the table is written
+    new = with_table(page, [(report, 4.567 if i == 0 else None) for i in range(len(replays))], 'abc1234')
+    # then each row has its numbers, only the first one those of its fixes, and nothing else has changed
+    before, after = page.splitlines(), new.splitlines()
+    changed = [(old, line) for old, line in zip(before, after, strict=True) if old != line]
+    rows = [[cell.strip() for cell in line.split('|')[1:-1]] for _, line in changed if line.startswith('|')]
+    assert len(rows) == len(replays) == 5
+    assert rows[0][1:3] == ['4.6 m', '1.2 m']
+    assert all(row[-4:] == ['1.1 m (70)', '3.3 m (210)', '6.7 m (420)', '100, 80, 0 %'] for row in rows)
+    assert [row[0] for row in rows] == [old.split('|')[1].strip() for old, _ in changed if old.startswith('|')]
+    assert len(changed) == 5 + 2 and 'over 3 to 7 such' in new and 'Measured at commit abc1234' in new
+
+
 def test_what_a_tool_says_to_type_next_can_be_typed(played):
     folder, said = played
     # a command of two lines as a shell takes it

@@ -33,8 +33,13 @@ LONGEST = 5.0
 FINEST = 25.0
 #: Hz, largest rate at which spans begin
 _DENSEST = 2.0
-#: iterations: the first assumes a constant speed and the gyroscopes without a bias, the others use the last result
-_STEPS = 3
+#: smallest number of iterations: the first assumes a constant speed and the gyroscopes without a bias, the others use
+#: the last result
+_FEWEST_STEPS = 3
+#: largest number of them: a bias of the gyroscopes of 0.1 rad/s takes six, one of 0.2 rad/s twelve
+_MOST_STEPS = 12
+#: rad/s, change of the gyroscopes' bias with which they end: within COURSE_WINDOW it turns a course by 1 deg
+_SETTLED = 1e-3
 #: m/s: below this speed, the path within a span is computed as at constant speed
 _SLOW = 0.3
 #: m, shortest distance over which a grade is measured
@@ -156,20 +161,23 @@ def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag:
     length = np.diff(times, axis=1)
     middle = times[:, 1]
     bias, pace = 0.0, np.ones(len(time))
-    for _ in range(_STEPS):
+    for steps in range(1, _MOST_STEPS + 1):
         heading = -(inertial.angle @ up) - bias * time
         path = np.column_stack([integral(time, pace * np.cos(heading)), integral(time, pace * np.sin(heading)),
                                 integral(time, pace)])
         arc = np.diff(_at(times.ravel(), time, path).reshape(*times.shape, 3), axis=1)
         arc = (arc[..., 0] + 1j * arc[..., 1]) * length / arc[..., 2]  # where a metre per second would lead
         course = _local_sum(middle, (step * arc.conj()).sum(axis=1), COURSE_WINDOW)
-        bias -= _drift(middle, course)
+        drift = _drift(middle, course)
+        bias -= drift
         course /= np.maximum(np.abs(course), 1e-9)
         along = step * (course[:, None] * arc).conj() / np.abs(arc) ** 2
         speed, sideways = along.real, along.imag
         mean_speed = (speed * length).sum(axis=1) / length.sum(axis=1)
         pace = np.interp(time, middle, mean_speed)
         pace = np.where(np.abs(pace) > _SLOW, pace, _SLOW)
+        if steps >= _FEWEST_STEPS and abs(drift) < _SETTLED:
+            break
     span = length.mean(axis=1)
     turn_rate = -(inertial.rate @ up) - bias
     pace = np.interp(time, middle, mean_speed)

@@ -15,7 +15,7 @@ import numpy as np
 from ..configuration.offset import FLOOR, Offset
 from ..effects.registry import EFFECTS
 from .estimate import SYSTEMATIC
-from .fit import FittedModel, Scores, priors, scores
+from .fit import FittedModel, Scores, fit, priors, scores
 from .problem import Unknown
 from .tracing import effect_unknowns
 
@@ -25,6 +25,14 @@ TOGETHER = 'gnss_time_offset', 'gnss_lever_arm', 'gnss_lag'
 #: in the sigma of the offset, if the track does not distinguish the two (`Offset.undecided`)
 HELD = 'gnss_time_offset', 'gnss_lever_arm'
 LONGEST_SMOOTHING = 10.0  # s, longest time over which a receiver smooths its positions
+#: s, time constants of a receiver's smoothing that are tried beside none for the sigma of a time offset: navigation
+#: filters of receivers follow within some tenths of a second to seconds. The delay grows with their square: 0.5 s are
+#: decimetres for a car in town, hardly more than the scatter of its fixes, and each next one adds about as much
+SMOOTHINGS = 0.5, 0.8, 1.1, 1.5, 2.0
+#: difference of log likelihood to the best smoothing, from which on one is excluded, and each longer one: it would have
+#: 1 % of the weight
+EXCLUDED = 5.0
+REFITTED = 3  # number of iterations of a fit that starts near its maximum
 
 
 def sigmas(model: FittedModel, track: Offset | None, given: Mapping) -> np.ndarray:
@@ -32,8 +40,8 @@ def sigmas(model: FittedModel, track: Offset | None, given: Mapping) -> np.ndarr
 
     track, given: as for `with_what_is_held`.
     """
-    receiver = [of_receiver(model, track) if u.effect == 'gnss_time_offset' and not u.noise else 0.0
-                for u in model.unknowns]
+    receiver = [math.hypot(of_receiver(model, track), of_smoothing(model, given))
+                if u.effect == 'gnss_time_offset' and not u.noise else 0.0 for u in model.unknowns]
     return np.hypot(with_what_is_held(model, track, given), receiver)
 
 
@@ -46,6 +54,31 @@ def of_receiver(model: FittedModel, track: Offset | None) -> float:
     smoothed = lasting[0] if lasting and lasting[0] < LONGEST_SMOOTHING else 0.0
     undecided = track.undecided if track is not None and 'gnss_lag' not in {u.effect for u in model.unknowns} else 0.0
     return math.hypot(SYSTEMATIC * smoothed, undecided, FLOOR)
+
+
+def of_smoothing(model: FittedModel, given: Mapping) -> float:
+    """Standard deviation, s, to be added to that of the time offset of `model`, as the receiver may smooth its
+    positions: root mean square change of the offset when all is fitted again with SMOOTHINGS, weighted by their
+    likelihoods. Zero where the smoothing is in `model` or given.
+
+    The information at no smoothing does not tell that: the delay grows with the square of the time constant, and the
+    noise levels take the place of what is left.
+    """
+    if 'gnss_lag' in {u.effect for u in model.unknowns} or given['gnss.lag_per_acceleration']:
+        return 0.0
+    [lag] = effect_unknowns(EFFECTS['gnss_lag'], {}, model.problem.attitude)
+    at = [u.name for u in model.unknowns].index('gnss_time_offset.time_offset')
+    mask, x, changes = model.problem.mask, model.x, [0.0]
+    likely = [model.likelihood(mask)]
+    for tau in SMOOTHINGS:
+        found = fit(model.problem.moved([lag], np.array([tau**2])), model.unknowns, x, REFITTED)
+        x = found.x
+        changes.append(float(x[at] - model.x[at]))
+        likely.append(found.likelihood(mask))
+        if likely[-1] < max(likely) - EXCLUDED:
+            break
+    weight = np.exp(np.array(likely) - max(likely))
+    return math.sqrt(weight @ np.square(changes) / weight.sum())
 
 
 def with_what_is_held(model: FittedModel, track: Offset | None, given: Mapping) -> np.ndarray:

@@ -9,7 +9,7 @@ from ..diagnosis.measured import MeasuredErrors
 from ..diagnosis.tracing import FAMILY_ERROR_RATE
 from ..evaluation.outages import Outages
 from .colours import AFTER, BEFORE, FITTED
-from .html import empty_figure
+from .html import empty_figure, legend_below
 from .layers import diagnosis_layers
 
 COLOURS = {'before': BEFORE, 'fitted': FITTED, 'after': AFTER}
@@ -155,5 +155,5 @@ def track(diagnosis: Diagnosis):
     axes.set_aspect('equal', adjustable='datalim')
     axes.set(xlabel='east, m', ylabel='north, m')
     axes.grid(color='0.92')
-    axes.legend(fontsize=8, loc='upper left')
+    legend_below(figure)
     return figure
