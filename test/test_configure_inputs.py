@@ -15,7 +15,7 @@ from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offs
 from mems_ins_fusion.effects.aiding_time_offset import time_offset_of
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.measurements.registry import aiding
+from mems_ins_fusion.filter.measurements.registry import aiding, further_inputs
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
@@ -50,8 +50,8 @@ def recorded(given, late=None, seed=3, sigma=0.5, **errors):
 
 
 def written(recording, values, path, **topics):
-    named = {one.topic: values[one.topic] for one in aiding(values) if values[one.topic]}
-    write_recording(recording, path, imu_topic='/imu/data', gnss_topic='/front/fix', inputs=aiding(values),
+    named = {one.topic: values[one.topic] for one in further_inputs(values) if values[one.topic]}
+    write_recording(recording, path, imu_topic='/imu/data', gnss_topic='/front/fix', inputs=further_inputs(values),
                     **{**named, **topics})
     return path
 
@@ -159,6 +159,30 @@ def test_an_input_that_is_the_same_in_every_message_is_not_used(tmp_path):
     # then none is set, and why is said of each
     assert not found.keys() & {f'{name}_topic' for name in ('speed', 'velocity', 'twist', 'heading', 'pressure')}
     assert found['inputs'] == [] and why['inputs'].count('is the same in every message') == 5
+
+
+def test_an_input_whose_messages_come_twice_is_said(tmp_path):
+    # given a speed and a pressure of which each message is there twice, and a heading that is right
+    made, values = recorded({}, speed_rate=10.0, heading_rate=5.0, pressure_rate=5.0)
+    found = made.streams()
+    made = made.having({name: found[name].select(np.repeat(np.arange(len(found[name])), 2))
+                        for name in ('speed', 'pressure')})
+    said = configure([written(made, values, tmp_path / 'twice', heading_topic='/gps/heading')]).wrong
+    # then it is said of these
+    said = [text for text in said if 'repeated from the message before' in text]
+    assert len(said) == 2 and {text[0] for text in said} == {'/'}
+    assert any(f": {len(found['speed'])} stamps repeated" in text for text in said)
+
+
+@pytest.mark.parametrize('value', [0.0, 9.81, np.nan])
+def test_a_second_imu_that_is_dead_is_called_one(value, tmp_path):
+    # given a bag with a second topic of an IMU's messages, all the same
+    made, values = recorded({'inputs': ['second'], 'second.type': 'imu', 'second.topic': '/second'})
+    dead = np.full(made.imu.specific_force.shape, value)
+    made = made.having({'second': replace(made.imu, specific_force=dead, angular_rate=dead)})
+    found, why = settings_of(written(made, values, tmp_path / 'dead'))
+    assert found['imu_topic'] == '/imu/data' and found['inputs'] == []
+    assert '/second is not used: most of its rates and forces are the same in every message' in why['inputs']
 
 
 @pytest.mark.parametrize('change, text', [

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from test_filter_displacement import drive
 
+from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors
 from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.filter.memory import NAV, newest_row
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run
@@ -17,6 +19,8 @@ from mems_ins_fusion.filter.runs.vehicle_check import found_time_offsets
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Aiding
+from mems_ins_fusion.simulation.drive import simulate_drive
+from mems_ins_fusion.simulation.manoeuvres import SLOW
 from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, SimulatedAiding, simulate_recording
 
@@ -171,3 +175,25 @@ def test_a_clock_that_jumps_is_followed_within_two_manoeuvres(recording, name):
     assert found[after] == pytest.approx(0.5, abs=3.0 * sigma[after] + 0.02) and sigma[after] < 0.15
     without = run(FilterConfig.from_parameters(table.check({})), recording.imu, recording.gnss)
     assert rmse(recording, result) < 1.05 * rmse(recording, without)
+
+
+@pytest.mark.parametrize('manoeuvres, stated, is_said', [
+    (SLOW, True, True), (SLOW, False, False), (None, False, True)], ids=['robot', 'robot, no arm', 'car, no arm'])
+def test_what_an_arm_that_is_not_stated_explains_is_no_clock(manoeuvres, stated, is_said):
+    # given a second receiver, 1.2 m behind the main one, whose fixes are stamped 0.3 s late; the IMU is at the main
+    # antenna, or 0.4 m from it, which is stated
+    rear = {'inputs': ['rear'], 'rear.type': 'fix', 'rear.topic': '/rear', 'rear.lever_arm_sigma': 0.01}
+    arms = {'gnss.lever_arm': [0.4, 0.0, 0.0], 'rear.lever_arm': [-0.8, 0.0, 0.0]} if stated else {
+        'rear.lever_arm': [-1.2, 0.0, 0.0]}
+    values = table.check({**rear, **arms})
+    named = [one for one in aiding(values) if not one.is_plain]
+    effects = [(EFFECTS['gnss_lever_arm'], {'x': 0.4, 'y': 0.0, 'z': 0.0})] if stated else []
+    made = simulate_recording(
+        simulate_drive(240.0, 5, 50.0, **({'manoeuvres': manoeuvres} if manoeuvres else {})),
+        SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.02, 5.0), effects, seed=5,
+        aiding=SimulatedAiding(fix_rate=5.0, fix_sigma=0.02), named=named).recording
+    late = made.others['rear']
+    late = replace(late, stamp=late.stamp + 300_000_000, received=late.received + 300_000_000)
+    result = run(FilterConfig.from_parameters(values), made.imu, made.gnss, Aiding(rear=late))
+    said = [notice.text for notice in result.notices if 'set rear.time_offset' in notice.text]
+    assert bool(said) == is_said, said

@@ -21,7 +21,7 @@ from mems_ins_fusion.recordings.messages import typestore
 from mems_ins_fusion.recordings.reading import read_recording
 
 #: in words, what fixes may be of
-FIXES = 'sensor_msgs/NavSatFix or gps_msgs/GPSFix'
+FIXES = ('sensor_msgs/NavSatFix or gps_msgs/GPSFix or septentrio_gnss_driver/PVTGeodetic or ublox_msgs/NavPVT')
 
 
 def complaint(path, imu_topic='/imu/data', gnss_topic='/gps/fix', **options):

@@ -108,8 +108,7 @@ def test_what_both_measure_is_not_late(first, second):
 
 
 def test_the_noisier_one_counts_less(first):
-    noisy = imu(2, TURNED, SECOND_BIAS, 0.0043, noise=5 * NOISE)
-    whole, _ = one(first, noisy)
+    whole, _ = one(first, imu(2, TURNED, SECOND_BIAS, 0.0043, noise=5 * NOISE))
     shown = means(errors(whole)[after(whole, STEADY)]).std(axis=0)
     assert (shown < 1.1 * NOISE / 10).all()
 
@@ -307,16 +306,39 @@ def test_a_leading_one_that_is_not_believed_is_replaced(first, second, broken):
     assert any(f'samples rejected: {broken}: the samples of /second' in text for text in said)
 
 
-def test_a_leading_one_that_becomes_noisy_is_replaced(first, second):
-    # given 50 times the noise from 60 s on
-    at, rng = after(first, 60.0)[:, None], np.random.default_rng(6)
-    noisy = replace(first, specific_force=first.specific_force + np.where(at, rng.normal(0, 1.0, (len(at), 3)), 0.0),
-                    angular_rate=first.angular_rate + np.where(at, rng.normal(0, 0.1, (len(at), 3)), 0.0))
-    whole, said = one(noisy, second)
+def noisy(imu, begin, end=1e9):
+    """The samples with 50 times the noise from `begin` to `end`, s."""
+    at, rng = after(imu, begin, end)[:, None], np.random.default_rng(6)
+    return replace(imu, specific_force=imu.specific_force + np.where(at, rng.normal(0, 1.0, (len(at), 3)), 0.0),
+                   angular_rate=imu.angular_rate + np.where(at, rng.normal(0, 0.1, (len(at), 3)), 0.0))
+
+
+@pytest.mark.parametrize('late', [0.0, 0.1])
+def test_a_leading_one_that_becomes_noisy_is_replaced(first, second, late):
+    # given 50 times the noise from 60 s on; the other one's messages come at once, or late
+    second = replace(second, received=second.stamp + round(late * 1e9))
+    whole, said = one(noisy(first, 60.0), second)
     # then within seconds it is the second one alone, with the biases of the first
     shown = errors(whole)[after(whole, 63.0)] - BIAS
     assert (shown.std(axis=0) < 1.1 * NOISE).all() and (np.abs(shown.mean(axis=0)) < 0.1 * NOISE).all()
     assert any('times as noisy, /second has not' in text for text in said)
+    # and no sample is handed on twice, or goes back
+    assert (np.diff(whole.stamp) > 0).all() and np.diff(whole.stamp).max() < (0.015 + late) * 1e9
+
+
+@pytest.mark.parametrize('which', ['first', 'second'])
+def test_noise_that_is_over_does_not_make_two_differ(first, second, which):
+    # given 50 times the noise for 20 s
+    given = (noisy(first, 60.0, 80.0), second) if which == 'first' else (first, noisy(second, 60.0, 80.0))
+    whole, said = one(*given)
+    # then the filter need not judge them, its samples have next to nothing of that noise
+    assert not any('it differs' in text for text in said) and not whole.difference.any()
+    shown = errors(whole)[after(whole, 60.5, 80.0)] - BIAS
+    assert (shown.std(axis=0) < 1.1 * NOISE).all()
+    # and later both are averaged again, with the constant difference that they had
+    shown = means(errors(whole)[after(whole, 105.0)] - BIAS)
+    assert (shown.std(axis=0) < 0.85 * NOISE / np.sqrt(100)).all()
+    assert (np.abs(shown.mean(axis=0)) < 5 * NOISE * np.sqrt(2 / 1500)).all()
 
 
 def test_a_constant_that_drifts_adds_no_more_than_it_changes_in_a_minute(first, second):

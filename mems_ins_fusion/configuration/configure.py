@@ -26,7 +26,7 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.earth import gravity as gravity_at
 from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.parameters.table import defaults, parameters_of
-from mems_ins_fusion.recordings.checker import INFO, Remark, check_recording
+from mems_ins_fusion.recordings.checker import INFO, Remark, check_recording, check_stamps
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.motion import find_standstill, without_turns
 from mems_ins_fusion.recordings.remarks import checked_text
@@ -166,10 +166,12 @@ def evidence_of_recording(path, imu: ImuSamples, fixes: Fixes | None,
     receiver = assess_receiver(good, imu, still, found) if good is not None else None
     noise = receiver.realised if receiver is not None else None
     vehicle = assess_vehicle(imu, still, found, noise or 1.0, good)
+    inputs = (*shown_inputs(others, receivers, imu, good, still, found), *further_imus(imus, imu, good, gravity))
+    samples = {**{topic: next(iter(read.values())) for topic, read in others.items()}, **receivers, **imus}
+    remarks += [remark for one in inputs if isinstance(one, InputShown)
+                for remark in check_stamps(one.topic, samples[one.topic])]
     return RecordingEvidence(name, imu, good, still, seconds, units, found, find_noise(imu, still), receiver, vehicle,
-                             tuple(remark for remark in remarks if remark.severity != INFO),
-                             (*shown_inputs(others, receivers, imu, good, still, found),
-                              *further_imus(imus, imu, good, gravity)))
+                             tuple(remark for remark in remarks if remark.severity != INFO), inputs)
 
 
 def _together(found: list[Mounting]) -> Mounting | None:

@@ -59,6 +59,8 @@ _RECEIVER = re.compile(r'gps|gnss|fix', re.IGNORECASE)
 _HEADING = re.compile(r'heading|yaw|compass|gps|gnss|antenna', re.IGNORECASE)
 # the result of a filter that has used the fixes, or a reference
 RESULT = re.compile(r'reference|truth|fused|filter|ekf|estimate|initial|gt($|/)', re.IGNORECASE)
+# in words, of messages of an IMU, of which `find_topics` has looked at the rest
+_NO_IMU = 'most of its rates and forces are the same in every message, or no numbers: no IMU, and '
 _TURNING = 0.9  # smallest correlation (absolute value) of a turn rate with that of the gyroscopes
 _HEADING_TURNS = 0.5  # the same for the derivative of a heading, which is noisier
 # smallest ratio of the actual scatter of the difference of two receivers and the expected one of independent errors:
@@ -165,7 +167,7 @@ def _kind(topic, read, imu, fixes, mounting) -> InputShown | UnusedTopic:
     if 'pose' in read and (not read['twist'].twist.any() if 'twist' in read else OTHER_SENSORS.search(topic)):
         return _pose(topic, read['pose'], imu, fixes, mounting)
     if 'heading' in read:
-        return _heading(topic, read['heading'], fixes)
+        return _heading(topic, read['heading'], fixes, 'pose' not in read)
     if 'speed' not in read:
         return UnusedTopic(topic, 'poses that are not of a lidar or a camera by its name: they may have seen the fixes')
     factor = speed_factor(read['speed'], fixes)
@@ -214,9 +216,10 @@ def _magnetometer(topic, fields, fixes):
                       factor)
 
 
-def _heading(topic, headings, fixes):
+def _heading(topic, headings, fixes, of_imu: bool):
+    """of_imu: in messages of an IMU, whose rates and forces are none."""
     if not _HEADING.search(topic):
-        return UnusedTopic(topic, 'no heading of antennas or a compass by its name')
+        return UnusedTopic(topic, f'{_NO_IMU if of_imu else ""}no heading of antennas or a compass by its name')
     findings = list(check_heading(headings, fixes)) if fixes is not None else []
     turned = next((finding.values for finding in findings if 'offset_rad' in finding.values), None)
     if turned is None:

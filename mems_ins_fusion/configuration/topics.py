@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mems_ins_fusion.filter.measurements.base import IMU
+from mems_ins_fusion.filter.measurements.fix_quality import FIELDS as QUALITY
 from mems_ins_fusion.filter.measurements.position import is_fix
 from mems_ins_fusion.filter.measurements.registry import TYPES
 from mems_ins_fusion.recordings.bags import Bag
@@ -28,6 +29,8 @@ _AIDING = {kind: tuple(one for one in TYPES.values() if kind in one.messages)
 _OTHERS = [kind for kind in _AIDING if kind != IMU]
 #: smallest share of usable messages and axes of an IMU
 _LEAST_USABLE = 0.5
+#: rad: messages of one fix differ by less, 6 cm on the ground; u-blox rounds to 1 cm
+_SAME_LATITUDE = 1e-8
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,8 @@ def find_topics(path) -> Topics:
     imu = tuple(sorted((_imu(path, name) for name in named[IMU]), key=_imu_rank))
     gnss = tuple(sorted((_gnss(path, name, named[IMU][0]) for kind in FIX_TYPES for name in named[kind]),
                         key=_gnss_rank))
+    # of one receiver's topics that with the quality of its fixes
+    gnss = tuple(sorted(gnss, key=lambda one: not (kinds[one.topic] in QUALITY and _are_same(one, gnss[0]))))
     others = {name: _read(path, name, kind, named[IMU][0]) for kind in _OTHERS for name in named[kind]}
     # a heading by two antennas is an Imu message without rates and forces
     others |= {one.topic: _read(path, one.topic, IMU, named[IMU][0]) for one in imu[1:] if one.usable < _LEAST_USABLE}
@@ -140,6 +145,14 @@ def _gnss(path, topic, imu_topic) -> Candidate:
     return Candidate(topic, len(fixes), *_stamps(fixes), usable=float(valid.mean()),
                      derived=bool(_DERIVED.search(topic)), samples=fixes,
                      sigma=float(np.nanmedian(stated)) if np.isfinite(stated).any() else np.nan)
+
+
+def _are_same(one: Candidate, other: Candidate) -> bool:
+    """Whether two topics have the same fixes: most of their stamps and, at these, the positions."""
+    _, at, there = np.intersect1d(one.samples.stamp, other.samples.stamp, return_indices=True)
+    if len(at) < 0.5 * min(len(one.samples), len(other.samples)):
+        return False
+    return bool(np.median(np.abs(one.samples.latitude[at] - other.samples.latitude[there])) < _SAME_LATITUDE)
 
 
 def _read(path, topic, kind, imu_topic) -> dict[str, object]:

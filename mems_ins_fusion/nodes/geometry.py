@@ -59,9 +59,10 @@ def geometry_from_tf(node: Node, values: Mapping, stop: Stop) -> dict:
 def _arms(node, values) -> dict[str, _Sensor]:
     """By the parameter of its lever arm, each input that has one, and whose messages name a frame of its own."""
     wanted = [('gnss.lever_arm', 'the antenna', values['gnss_topic'], FIX_TYPES)]
-    wanted += [(f'{one.name}.lever_arm', f"'{one.name}'", values[one.topic], tuple(filter(has_frame, one.messages)))
+    wanted += [(f'{one.name}.lever_arm', f"'{one.name}'", values[one.topic], one.messages)
                for one in further_inputs(values) if f"{one.name}.lever_arm" in values]
-    return {name: _Sensor(node, what, topic, kinds) for name, what, topic, kinds in wanted if topic and kinds}
+    return {name: _Sensor(node, what, topic, found) for name, what, topic, kinds in wanted
+            if topic and (found := tuple(filter(has_frame, kinds)))}
 
 
 def _mounting(transform) -> list[float]:

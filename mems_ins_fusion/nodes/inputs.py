@@ -9,16 +9,19 @@ from importlib import import_module
 from operator import attrgetter
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import NavSatFix
+from std_msgs.msg import Header
 
 from ..filter.measurements.base import Measurement
 from ..filter.measurements.registry import MEASUREMENTS, aiding
 from ..filter.memory import Kind
 from ..recordings.reading import thinned
+from ..samples import SECOND
 from .traffic import Traffic
 
 #: ns: a measurement whose stamp is later than the newest sample's by more may have overtaken samples. The filter
@@ -40,24 +43,29 @@ def stamp_of(message) -> int:
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
-def sample_of(measurement: Measurement, messages: Sequence) -> tuple[int, tuple]:
+def sample_of(measurement: Measurement, messages: Sequence, received: int | None = None) -> tuple[int, tuple]:
     """Stamp, ns, and numbers of the sample in `messages`, as `measurement.read` gives them for a recording.
 
-    messages: one, or two of a measurement that needs two (`of_two`).
+    messages: one, or two of a measurement that needs two (`of_two`). received: ns, of a message without a header.
     """
     kind = _name(type(messages[0]))
     fields = {path: thinned(path, np.concatenate([_row(attrgetter(path)(message)) for message in messages]))
               for path in measurement.messages[kind]}
-    fields['stamp'] = fields['received'] = np.array([stamp_of(message) for message in messages], dtype=np.int64)
+    stamps = [stamp_of(message) if received is None else received for message in messages]
+    fields['stamp'] = fields['received'] = np.array(stamps, dtype=np.int64)
     samples = measurement.read(fields, kind)
     return int(samples.stamp[0]), tuple(getattr(samples, field.name)[0] for field in dataclass_fields(samples)[2:])
 
 
-def nav_sat_fix(message) -> NavSatFix:
-    """A fix in a message of another type, or one without altitude, converted by `measurements.position`."""
+def nav_sat_fix(message, received: int | None = None) -> NavSatFix:
+    """A fix in a message of another type, or one without altitude, converted by `measurements.position`.
+
+    received: ns, of a message without a header; the time of the fix is in the message itself.
+    """
     fix = MEASUREMENTS[Kind.POSITION]
-    _, (latitude, longitude, height, covariance, status, kind) = sample_of(fix, [message])
-    made = NavSatFix(header=message.header, latitude=float(np.degrees(latitude)), longitude=float(
+    stamp, (latitude, longitude, height, covariance, status, kind) = sample_of(fix, [message], received)
+    header = message.header if received is None else Header(stamp=Time(sec=stamp // SECOND, nanosec=stamp % SECOND))
+    made = NavSatFix(header=header, latitude=float(np.degrees(latitude)), longitude=float(
         np.degrees(longitude)), altitude=float(height), position_covariance=np.ascontiguousarray(covariance).reshape(9),
         position_covariance_type=int(kind))
     made.status.status = int(status)
@@ -197,10 +205,17 @@ class Input:
         """The next waiting message, with rclpy's information on it; None if there is none."""
         if self._subscription is None:
             return None
-        return self._subscription.handle.take_message(self._subscription.msg_type, False)
+        taken = self._subscription.handle.take_message(self._subscription.msg_type, False)
+        return taken and (self._with_header(taken[0]), taken[1])
 
     def _on_first(self, message, info):
-        self._queue.serve(self, message, info)
+        self._queue.serve(self, self._with_header(message), info)
+
+    def _with_header(self, message):
+        """`message`; a fix whose type has no header as NavSatFix."""
+        if hasattr(message, 'header'):
+            return message
+        return nav_sat_fix(message, self._node.get_clock().now().nanoseconds)
 
     def publishers(self) -> int:
         return self._node.count_publishers(self.topic_name)

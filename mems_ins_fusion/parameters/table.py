@@ -59,8 +59,8 @@ PLACE = (('latitude', 90.0), ('longitude', 360.0), ('height', 1e5))
 #: what the filter needs, whoever runs it
 FILTER = (
     Parameter('imu_topic', '/imu/data', 'text', 'Topic of sensor_msgs/Imu.', positive=True),
-    Parameter('gnss_topic', '/gps/fix', 'text', 'Topic of sensor_msgs/NavSatFix, or, where it is installed, '
-              'gps_msgs/GPSFix.'),
+    Parameter('gnss_topic', '/gps/fix', 'text', 'Topic of sensor_msgs/NavSatFix, or, where they are installed, '
+              'gps_msgs/GPSFix, septentrio_gnss_driver/PVTGeodetic, ublox_msgs/NavPVT.'),
     Parameter('temperature_topic', '', 'text', 'Topic of sensor_msgs/Temperature of the IMU; empty: none.'),
     *(measurement.topic_parameter for measurement in AIDING),
     INPUTS,

@@ -53,18 +53,18 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
     `configuration.check` compares the mounting, the clocks, the lever arm and the receiver's scatter with them.
     """
     imu, fixes, seen = recording.imu, recording.gnss, usable(recording)
-    remarks = [*_check_stamps('imu', imu), *_check_values(imu)]
+    remarks = [*check_stamps('imu', imu), *_check_values(imu)]
     good = None
     if fixes is not None:
-        remarks += _check_stamps('gnss', fixes)
+        remarks += check_stamps('gnss', fixes)
         remarks += _check_fixes_present(fixes, values.get('gnss.sigma', 0.0))
         good = seen.gnss if len(seen.gnss) > 1 else None
     if recording.temperature is not None:
-        remarks += _check_stamps('temperature', recording.temperature)
+        remarks += check_stamps('temperature', recording.temperature)
     streams = recording.streams()
     for measurement in (measurement for measurement in aiding(values) if measurement.name in streams):
         samples = streams[measurement.name]
-        remarks += _check_stamps(measurement.name, samples)
+        remarks += check_stamps(measurement.name, samples)
         remarks += check_aiding(measurement, samples, good, measurement.settings({**table.defaults(), **values}))
     imu = seen.imu
     if len(imu) < 2:
@@ -101,7 +101,7 @@ def _as_declared(imu: ImuSamples, values: Mapping) -> ImuSamples:
                    angular_rate=right('gyroscope', imu.angular_rate))
 
 
-def _check_stamps(topic, samples):
+def check_stamps(topic, samples):
     """Rate, gaps, jitter and order of the header stamps, and their distance from the log time."""
     stamp = samples.stamp
     if len(stamp) < 2:

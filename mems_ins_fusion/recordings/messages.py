@@ -12,7 +12,8 @@ from functools import cache, reduce
 
 import numpy as np
 
-from mems_ins_fusion.filter.measurements.base import GPS_FIX, IMU, NAV_SAT_FIX, ODOMETRY, POSE, POSE_STAMPED, TWIST
+from mems_ins_fusion.filter.measurements.base import IMU, NAV_SAT_FIX, ODOMETRY, POSE, POSE_STAMPED, TWIST
+from mems_ins_fusion.filter.measurements.fix_quality import GPS_FIX, NAV_PVT, PVT_GEODETIC
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.recordings.errors import needs_rosbags
 from mems_ins_fusion.samples import SECOND
@@ -38,6 +39,13 @@ FIELDS = {
               ('latitude', '<f8', 1), ('longitude', '<f8', 1), ('altitude', '<f8', 1),
               ('position_covariance', '<f8', 9), ('position_covariance_type', 'u1', 1),
               ('err_horz', '<f8', 1), ('err_vert', '<f8', 1), ('hdop', '<f8', 1), ('vdop', '<f8', 1)),
+    PVT_GEODETIC: (*_HEADER, ('mode', 'u1', 1), ('error', 'u1', 1), ('latitude', '<f8', 1), ('longitude', '<f8', 1),
+                   ('height', '<f8', 1), ('nr_sv', 'u1', 1), ('mean_corr_age', '<u2', 1), ('h_accuracy', '<u2', 1),
+                   ('v_accuracy', '<u2', 1)),
+    NAV_PVT: (('year', '<u2', 1), *((name, 'u1', 1) for name in ('month', 'day', 'hour', 'min', 'sec', 'valid')),
+              ('nano', '<i4', 1), ('fix_type', 'u1', 1), ('flags', 'u1', 1), ('num_sv', 'u1', 1), ('lon', '<i4', 1),
+              ('lat', '<i4', 1), ('height', '<i4', 1), ('h_acc', '<u4', 1), ('v_acc', '<u4', 1),
+              ('reserved1', 'u1', 6)),
     TEMPERATURE: (*_HEADER, ('temperature', '<f8', 1), ('variance', '<f8', 1)),
     ODOMETRY: (*_HEADER, ('child_frame_id', _STRING, 1), *_POSE, *_TWIST),
     POSE_STAMPED: (*_HEADER, ('pose.position', '<f8', 3), ('pose.orientation', '<f8', 4)),
@@ -45,8 +53,15 @@ FIELDS = {
     TWIST: (*_HEADER, *_TWIST),
     **{kind: (*_HEADER, *fields) for measurement in AIDING for kind, fields in measurement.layouts.items()},
 }
-#: definitions of types that rosbags does not know, by name; with sequences, so that their messages are read one by one:
-#: of these FIELDS has what is kept
+
+
+def _definition(fields: str) -> str:
+    """A definition from its fields: a type and its names, those of several types between semicolons."""
+    return '\n'.join(f'{kind} {name}' for kind, *names in map(str.split, fields.split(';')) for name in names)
+
+
+#: definitions of types that rosbags does not know, by name; their messages are read one by one, as they are few and
+#: some have sequences: of these FIELDS has what is kept
 _DEFINITIONS = {
     'gps_msgs/msg/GPSStatus': """
 std_msgs/Header header
@@ -66,6 +81,18 @@ uint16 position_source
         'latitude', 'longitude', 'altitude', 'track', 'speed', 'climb', 'pitch', 'roll', 'dip', 'time', 'gdop', 'pdop',
         'hdop', 'vdop', 'tdop', 'err', 'err_horz', 'err_vert', 'err_track', 'err_speed', 'err_climb', 'err_time',
         'err_pitch', 'err_roll', 'err_dip')) + 'float64[9] position_covariance\nuint8 position_covariance_type\n',
+    'septentrio_gnss_driver/msg/BlockHeader': _definition(
+        'uint8 sync_1 sync_2; uint16 crc id; uint8 revision; uint16 length; uint32 tow; uint16 wnc'),
+    PVT_GEODETIC: _definition(
+        'std_msgs/Header header; septentrio_gnss_driver/BlockHeader block_header; uint8 mode error; '
+        'float64 latitude longitude height; float32 undulation vn ve vu cog; float64 rx_clk_bias; float32 rx_clk_drift;'
+        'uint8 time_system datum nr_sv wa_corr_info; uint16 reference_id mean_corr_age; uint32 signal_info; '
+        'uint8 alert_flag nr_bases; uint16 ppp_info latency h_accuracy v_accuracy; uint8 misc'),
+    NAV_PVT: _definition(
+        'uint32 i_tow; uint16 year; uint8 month day hour min sec valid; uint32 t_acc; int32 nano; '
+        'uint8 fix_type flags flags2 num_sv; int32 lon lat height h_msl; uint32 h_acc v_acc; '
+        'int32 vel_n vel_e vel_d g_speed heading; uint32 s_acc head_acc; uint16 p_dop; uint8[6] reserved1; '
+        'int32 head_veh; int16 mag_dec; uint16 mag_acc'),
 }
 _LITTLE_ENDIAN_CDR = 0x0001
 _MAX_PADDING = 8  # bytes that a middleware may append

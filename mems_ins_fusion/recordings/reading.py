@@ -171,7 +171,8 @@ def _read_arrays(bag: Bag, topics, progress, memory: Memory | None) -> tuple[dic
             lost[topic] += len(raw) - int(keep.sum())
             received = np.array([time for time, good in zip(times, valid & dated) if good], np.int64)
             block = {name: thinned(name, array[name][keep]) for name in _KEPT[bag.topics[topic]]}
-            blocks[topic].append({**block, 'stamp': messages.stamps(array)[keep], 'received': received})
+            stamp = messages.stamps(array[keep]) if 'header.stamp.sec' in array.dtype.names else received
+            blocks[topic].append({**block, 'stamp': stamp, 'received': received})
             count += len(received)
             if memory is not None:
                 memory.check(f'{bag.path}', count, part)

@@ -25,8 +25,10 @@ class Remark:
 
 
 def checked_text(remark: Remark, topics: Mapping[str, str]) -> str:
-    """A remark with the topic it is about. topics: of `imu`, `gnss` and `temperature`."""
-    names = ' and '.join(topics.get(part) or part for part in remark.topic.split('/'))
+    """A remark with the topic it is about, which it names itself or which `topics` has for `imu`, `gnss` and
+    `temperature`."""
+    names = remark.topic if remark.topic.startswith('/') else ' and '.join(
+        topics.get(part) or part for part in remark.topic.split('/'))
     return f'{names}: {remark.message}'
 
 

@@ -7,6 +7,7 @@ from operator import attrgetter
 import numpy as np
 
 from mems_ins_fusion.filter.measurements.base import ODOMETRY, POSE, POSE_STAMPED
+from mems_ins_fusion.filter.measurements.fix_quality import NAV_PVT
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.messages import deserialized
 
@@ -15,8 +16,9 @@ TOPIC, TYPE = '/tf_static', 'tf2_msgs/msg/TFMessage'
 BASE = 'base_link'
 #: largest number of frames between a sensor and the vehicle; with more, the transforms form a circle
 _LONGEST = 50
-#: message types whose header names the frame of the world: field with the frame of the sensor, '' if there is none
-_FRAME = {ODOMETRY: 'child_frame_id', POSE_STAMPED: '', POSE: ''}
+#: message types without a header, or whose header names the frame of the world: field with the frame of the sensor, ''
+#: if there is none
+_FRAME = {ODOMETRY: 'child_frame_id', POSE_STAMPED: '', POSE: '', NAV_PVT: ''}
 
 
 def has_frame(kind: str) -> bool:

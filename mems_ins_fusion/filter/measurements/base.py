@@ -17,7 +17,6 @@ POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
 IMU = 'sensor_msgs/msg/Imu'
 NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
-GPS_FIX = 'gps_msgs/msg/GPSFix'
 NOT_THERE = (-1.0, *[0.0] * 8)  # covariance that sensor_msgs/Imu states for a quantity that the message does not hold
 FIRST_NAMED = 100  # number of the first named input
 #: s, standard deviation of the time offset of stamps that is not configured: a bus, a serial line and a filter in the

@@ -13,22 +13,12 @@ from ...parameters.parameter import Parameter
 from ...samples import Fixes
 from ..memory import Error, Event, Head, Kind, Nav, row_of
 from ..trust.lag import behind
-from .base import GPS_FIX, NAV_SAT_FIX, Measurement
+from . import fix_quality
+from .base import NAV_SAT_FIX, Measurement
 from .events import refuse
 from .geometry import add, add_attitude_error, arm_of, rotate
 from .time_offset import add_time_offset
 
-#: m, standard deviation of a pseudorange: multiplied by the dilution of precision where a message states no other
-#: error. Chosen, not measured
-RANGE_SIGMA = 3.0
-#: 95 % error over standard deviation of each of two components, of a horizontal distance
-HORIZONTAL_95 = 2.4477
-#: 95 % error over standard deviation of a height
-VERTICAL_95 = 1.96
-#: `NavSatStatus.status` of each `GPSStatus.status`. RTK fixed: 2; differential corrections or RTK float, whose errors
-#: are larger: 1; no corrections: 0; no fix: -1
-STATUS_OF = {-1: -1, 0: 0, 1: 1, 33: 1, 18: 1, 20: 1, 2: 2, 19: 2}
-FEWEST_SATELLITES = 3  # a message with fewer satellites (but not zero: not counted) has no position
 SMALLEST_SIGMA = 0.001  # m, lower limit of the standard deviation of a fix, whatever the message states
 LOWEST_HEIGHT = -1000.0  # m above the ellipsoid, smallest height of a land vehicle
 HIGHEST_HEIGHT = 10000.0  # m above the ellipsoid, and its largest
@@ -174,42 +164,16 @@ def _reason(latitude: float, longitude: float, height: float, status: float) -> 
     return 'latitude 0, longitude 0 is what receivers send without a fix: fix dropped'
 
 
-def _of_gps_fix(fields) -> dict[str, np.ndarray]:
-    """Status, covariance and covariance type, as in NavSatFix, of GPSFix messages.
-
-    The covariance is that of the message, or else computed from its 95 % errors, or else from its dilutions of
-    precision.
-    """
-    status = np.array([STATUS_OF.get(int(one), 0) for one in fields['status.status']], dtype=np.int8)
-    used = fields['status.satellites_used']
-    status[(used > 0) & (used < FEWEST_SATELLITES)] = -1
-    covariance = np.array(fields['position_covariance'], dtype=float).reshape(-1, 9)
-    kind = np.array(fields['position_covariance_type']).astype(np.uint8)
-    missing = (kind == 0) | ~(covariance[:, [0, 4]] > 0).all(axis=1)
-    for horizontal, vertical in ((fields['err_horz'] / HORIZONTAL_95, fields['err_vert'] / VERTICAL_95),
-                                 (RANGE_SIGMA * fields['hdop'] / math.sqrt(2.0), RANGE_SIGMA * fields['vdop'])):
-        filled = missing & np.isfinite(horizontal) & (horizontal > 0)
-        height = np.where(np.isfinite(vertical) & (vertical > 0), vertical, 2.0 * horizontal)
-        covariance[filled] = 0.0
-        covariance[filled, 0] = covariance[filled, 4] = horizontal[filled]**2
-        covariance[filled, 8] = height[filled]**2
-        kind[filled], missing = 1, missing & ~filled
-    kind[missing] = 0
-    return {'status.status': status, 'position_covariance': covariance, 'position_covariance_type': kind}
-
-
 class Fix(Measurement):
     """Fixes. The unnamed input is the main receiver, from which the filter starts and restarts (`GnssSettings`). A
     named input is a further receiver, and treated like any other measurement."""
 
     kind, name, samples, unit, default_sigma = Kind.POSITION, 'fix', Fixes, 'm', 3.0
-    topic_text = ('Topic of the position of an antenna: sensor_msgs/NavSatFix, or, where it is installed, '
-                  'gps_msgs/GPSFix')
+    topic_text = ('Topic of the position of an antenna: sensor_msgs/NavSatFix, or, where they are installed, '
+                  'gps_msgs/GPSFix, septentrio_gnss_driver/PVTGeodetic, ublox_msgs/NavPVT')
     components = 2
     messages = {NAV_SAT_FIX: ('status.status', 'latitude', 'longitude', 'altitude', 'position_covariance',
-                              'position_covariance_type'),
-                GPS_FIX: ('status.status', 'status.satellites_used', 'latitude', 'longitude', 'altitude',
-                          'position_covariance', 'position_covariance_type', 'err_horz', 'err_vert', 'hdop', 'vdop')}
+                              'position_covariance_type'), **fix_quality.FIELDS}
     written_to = '/gps/fix'
     of_antenna = from_satellites = has_arm = True
     #: m, white noise north and east; 1.5 times that down
@@ -258,8 +222,7 @@ class Fix(Measurement):
         return r, reasons, warnings
 
     def read(self, fields, message):
-        if message == GPS_FIX:
-            fields = {**fields, **_of_gps_fix(fields)}
+        fields = fix_quality.as_nav_sat_fix(fields, message)
         height, covariance = np.array(fields['altitude']), np.array(fields['position_covariance']).reshape(-1, 3, 3)
         without_altitude(height, covariance)
         return Fixes(stamp=fields['stamp'], received=fields['received'], latitude=np.radians(fields['latitude']),

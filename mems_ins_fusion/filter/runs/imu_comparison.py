@@ -18,6 +18,7 @@ from .imu_memory import (
     DIFFERS,
     KEPT_SAMPLES,
     NOISIER,
+    ONE_CHANGE,
     QUICK,
     SILENT,
     SLOW,
@@ -89,7 +90,9 @@ def _compare_one(book, j, leader, c, later, earlier, part):
         # of an averaged IMU the low-passed difference begins at zero
         _low_pass(book, j, k, book.latest[j, k], dt, anew and not book.averaged[j])
         _low_pass(book, j, 6 + k, between, dt, anew)
-    if may_lead(book, j) and is_noisier(book, leader, j):
+    if is_noisier(book, j, leader):  # till it is not, it is not averaged, and nothing is known of its other errors
+        compare_anew(book, j, min(book.window[j] + 4.0 * QUICK, 0.0))
+    elif may_lead(book, j) and is_noisier(book, leader, j):
         compare_anew(book, j, 0.0)
         book.returns[j] = True
     elif book.averaged[j]:
@@ -99,7 +102,8 @@ def _compare_one(book, j, leader, c, later, earlier, part):
             book.offset[j, k] += min(1.0, dt / COMPARED_WINDOW) * book.latest[j, k]
         k = _largest(book, j, leader, book.quick)
         limit = _limit(book, j, leader, k)
-        if abs(book.quick[j, k]) > limit:
+        book.beyond[j] = book.beyond[j] + 1 if abs(book.quick[j, k]) > limit else 0
+        if book.beyond[j] * ONE_CHANGE > 1.0:  # after fewer it may be noise that has just begun
             _differs(book, j, k, book.quick[j, k], limit)
     if book.window[j] < 0.0:
         book.count[j] = 0.0

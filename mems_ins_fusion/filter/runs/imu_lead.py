@@ -75,6 +75,8 @@ def _take_leading(book, i, stamp, value, out_stamps, out):
             if j != i:
                 book.mark[j] = book.newest[j]
                 compare(book, j, i)
+    if stamp <= book.last[0]:  # up to here the IMU that led before has been handed on
+        return 0
     book.last[0] = stamp
     _hand_on(book, i, stamp, value, 0, out_stamps, out)
     if book.fault[i] == Fault.NONE:
@@ -148,7 +150,8 @@ def _take_other(book, i, stamp, out_stamps, out):
     if book.kept[leader] > 0:  # samples that come in a burst have waited in a queue themselves
         silent = min(silent, (stamp - book.stamps[leader, (book.kept[leader] - 1) % KEPT_SAMPLES]) * 1e-9)
         allowed = patience(book, leader) if may_lead(book, i) else SILENT_UNCOMPARED
-    if last != -1 and not 0 <= stamp - last <= book.restart_gap:
+    # messages of one IMU may come later than those of the other with the same stamps
+    if last != -1 and (stamp - last > book.restart_gap or (last - stamp) * 1e-9 > patience(book, i)):
         return 0
     if silent > allowed:
         say(book, ALONE, i, silent, book.fault[leader], 0.0)
@@ -171,7 +174,7 @@ def _take_other(book, i, stamp, out_stamps, out):
         k = c % KEPT_SAMPLES
         if book.stamps[i, k] > last:
             count = _hand_on(book, i, book.stamps[i, k], book.values[i, k], count, out_stamps, out)
-    book.last[0] = stamp
+    book.last[0] = max(last, stamp)
     return count
 
 

@@ -60,6 +60,7 @@ class Book(NamedTuple):
     variance: np.ndarray  # (n, 12) and its variance
     held: np.ndarray  # (n, 6) sum of the differences since the last sample that was handed on
     held_count: np.ndarray  # and their number
+    beyond: np.ndarray  # number of the last samples in a row at which the difference was larger than chance
     interval: np.ndarray  # s between samples
     now: np.ndarray  # (n, 2) noise density squared, of f and of w, with the time constant QUICK
     noise: np.ndarray  # (n, 2) the same with the time constant SLOW: the usual noise
@@ -90,7 +91,7 @@ def book_of(n: int, values: dict) -> Book:
         ((Head.SIZE,), 'heads')) for name in names.split()}
     flags = {name: np.zeros(n, dtype=bool) for name in ('known', 'averaged', 'differing', 'returns')}
     stamps = {name: np.full(n, -1, dtype=np.int64) for name in ('newest', 'compared_at', 'mark')}
-    counts = {name: np.zeros(n, dtype=np.int64) for name in ('differs', 'fault', 'kept', 'compared')}
+    counts = {name: np.zeros(n, dtype=np.int64) for name in ('differs', 'fault', 'kept', 'compared', 'beyond')}
     for head in floats['heads']:
         HEAD.begin(head)
         head[Imu.MAX_FORCE], head[Imu.MAX_RATE] = values['imu.max_specific_force'], values['imu.max_angular_rate']
@@ -148,6 +149,7 @@ def compare_anew(book, j, begin):
     begin: s, 0 or negative: the window begins -begin s from now, after QUICK has settled.
     """
     book.averaged[j] = book.differing[j] = book.returns[j] = False
+    book.beyond[j] = 0
     book.window[j], book.count[j], book.held_count[j], book.compared_at[j] = begin - 4.0 * QUICK, 0.0, 0.0, -1
     for k in range(6):
         book.quick[j, k] = book.quick[j, 6 + k] = book.held[j, k] = 0.0

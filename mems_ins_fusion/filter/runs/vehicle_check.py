@@ -9,6 +9,7 @@ import numpy as np
 from ...navigation.frames import ANGLE_DIGITS, FLU_TO_FRD, rotation_from_rpy
 from ..config import MOUNTING_STATES, FilterConfig
 from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index, newest_row, variance_factor
+from ..trust.usual_speed import usual
 from ..trust.white_noise import NOTEWORTHY, White
 
 FASTEST_BACKWARDS = 8.0  # m/s, largest speed of a car in reverse
@@ -27,6 +28,9 @@ BETTER_KNOWN = 5.0
 LATE = 0.05
 #: and by more than this many standard deviations: the check is repeated all day
 LATE_SIGMAS = 4.0
+#: m by which an antenna may be off where the params file has none of its arms: at the usual speed of the vehicle, less
+#: than this is no time offset but maybe an arm, forward, which looks the same at a constant speed
+UNSTATED_ARM = 1.0
 #: s of sideways motion in total above which the vehicle has no wheels, or turns on the spot. Chosen, not measured
 LONGEST_SIDEWAYS = 5.0
 #: s above which a contradiction by the lateral constraint (`Nav.SLID`) is reported. Chosen, not measured
@@ -113,12 +117,21 @@ def found_time_offsets(memory: np.ndarray, config: FilterConfig) -> dict[int, st
             continue
         left = float(row[NAV + state])
         sigma = math.sqrt(variance_factor(row, 0) * row[covariance_index(state, state, layout)])
-        if abs(left) > max(LATE, LATE_SIGMAS * sigma):
+        if abs(left) > max(LATE, LATE_SIGMAS * sigma) and not _may_be_an_arm(row, config, number, left):
             name = 'gnss' if number == Kind.POSITION else measurement.name
             total = config.settings_of(number).time_offset + left
             found[number] = (f'stamped {abs(left):.3f} +- {sigma:.3f} s too {"late" if left > 0 else "early"}, which '
                              f'the filter corrects now: set {name}.time_offset: {total:.2f}')
     return found
+
+
+def _may_be_an_arm(row: np.ndarray, config: FilterConfig, number: int, late: float) -> bool:
+    """Whether a lever arm that is not stated explains what the estimated time offset, s, of the input does."""
+    measurement = config.inputs[number]
+    if measurement.kind != Kind.POSITION:
+        return False
+    arms = [config.gnss.lever_arm] if number == Kind.POSITION else [config.gnss.lever_arm, measurement.arm]
+    return not all(np.any(arm) for arm in arms) and abs(late) * math.sqrt(2.0 * usual(row, 0)) < UNSTATED_ARM
 
 
 def _is_adrift(fixes: np.ndarray) -> bool:

@@ -46,7 +46,7 @@ def learn_certain_speed(mem, r):
     if not is_without_fixes(mem, r):
         return
     squared = 0.5 * certain_speed(mem, r, velocity_sigma(mem, r)) ** 2
-    if squared > _usual(mem, r):
+    if squared > usual(mem, r):
         mem[r + UsualSpeed.SCALE + Scale.LOG] = math.log(min(squared / ASSUMED_VARIANCE, LARGEST_SCALE))
 
 
@@ -64,16 +64,16 @@ def bounds(mem, r):
     """
     return (mem[r + UsualSpeed.SCALE + Scale.TIME] != 0.0
             and is_without_fixes(mem, r)
-            and 0.5 * velocity_variance(mem, r) > _usual(mem, r))
+            and 0.5 * velocity_variance(mem, r) > usual(mem, r))
 
 
 @njit(_nrt=False)
 def variance(mem, r, since):
     """Variance with which a velocity of zero is applied, m^2/s^2. since: s since the previous constraint."""
-    return _usual(mem, r) * CORRELATION / since
+    return usual(mem, r) * CORRELATION / since
 
 
 @njit(_nrt=False)
-def _usual(mem, r):
+def usual(mem, r):
     """Variance of a component of the vehicle's velocity, m^2/s^2."""
     return ASSUMED_VARIANCE * scale(mem, r + UsualSpeed.SCALE)
