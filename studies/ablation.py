@@ -146,7 +146,7 @@ NEVER = {
     # other inputs
     'slips of inputs': {'trust.inputs.SLIPPED': 1e9},
     'inputs that are far off': {'trust.inputs.GATE': 1e9, 'trust.inputs.NARROW_GATE': 1e9},
-    'displacements of inputs': {'trust.displacement.SHARE_SIGMAS': 1e9},
+    'displacements of inputs': {'trust.displacement.ERROR_SIGMAS': 1e9},
     'inputs that wait for a comparison': {'trust.displacement.COMPARED_SIGMA': 1e9},
     'inputs that have to be right for some time': {'trust.inputs.RIGHT_AGAIN_AFTER': 0.0},
     'clocks that jump': {'trust.clock_jump.OFFSET_SIGMAS': 1e9},

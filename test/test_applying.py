@@ -821,7 +821,7 @@ def test_the_covariance_covers_both_estimates_whatever_the_share(late, monkeypat
         for apart in (own[p] - published[p], other[p] - published[p]):
             for covers in (covariance, fusion.position_covariance_enu.reshape(3, 3)[:2, :2]):
                 assert apart @ np.linalg.solve(covers, apart) < 1.0
-        assert math.hypot(*fusion._shared) == pytest.approx(
+        assert math.hypot(*fusion._further) == pytest.approx(
             max(share, 1.0 - share) * np.linalg.norm(other[p] - own[p]), rel=1e-6)
     # and what is to take over has to be as certain as the filter itself, which that does not make less certain
     compared = []

@@ -116,7 +116,7 @@ def test_a_stated_offset_gives_way_to_one_that_is_known_better(late, stated, bet
     else:
         assert (now, sigma) == (given[TIME_OFFSET], stated)
     # and the intervals hold for all that was compared with what was given, not only for what was chosen of it
-    tested = [change for change in found.verdict.changes if change.difference is not None]
+    tested = [change for change in found.verdict.changes if change.log_ratio is not None]
     assert not better or 1 - found.verdict.level < 0.04 / len(tested)
 
 

@@ -364,5 +364,5 @@ def test_a_wheel_speed_in_kilometres_an_hour_does_not_move_a_velocity_that_fixes
     assert math.hypot(row[Nav.V_N] - velocity[0], row[Nav.V_E] - velocity[1]) < 0.3
     # and it is seen how far off it is: 26 of 10 m/s
     seen = statistics_at(config, Kind.SPEED)
-    assert displacement.differs(row, seen, Kind.SPEED, displacement.TOLERATED_SHARE)
-    assert row[seen + Integral.SHARE] == pytest.approx(2.6, abs=0.1)
+    assert displacement.differs(row, seen, Kind.SPEED, displacement.TOLERATED_ERROR)
+    assert row[seen + Integral.RELATIVE_ERROR] == pytest.approx(2.6, abs=0.1)

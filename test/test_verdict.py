@@ -516,8 +516,8 @@ def test_an_interval_of_skewed_errors_holds_the_true_change(n, overlap, scatter,
     missed = changed = 0
     for _ in range(drives):
         change = change_in_outages(30.0, *skewed(rng, n, overlap, scatter, other, ratio), n // overlap)
-        if change.difference is not None:
-            low, high = change.difference.interval()
+        if change.log_ratio is not None:
+            low, high = change.log_ratio.interval()
             missed += not low < np.log(ratio) < high
             changed += abs(change.sign()) * (ratio == 1.0)
     # then one in twenty intervals misses the true ratio of the means, by four binomial sigmas
@@ -556,7 +556,7 @@ def test_one_large_outage_is_too_few_to_say_more(count, large):
     assert because(decide([found] * 3))[0].endswith(f'(too few to say more); mean of the largest error in {count} '
                                                     'outages')
     # and what is certain stays certain where the end is not told: 100 times the error, within a factor of 40
-    certain = replace(found, before=1.0, after=100.0, difference=Difference(np.log(100.0), 1.6, 20.0))
+    certain = replace(found, before=1.0, after=100.0, log_ratio=Difference(np.log(100.0), 1.6, 20.0))
     assert certain.sign() == 1 and certain.interval() is None and decide([certain]).answer == WORSE
 
 
@@ -565,9 +565,9 @@ def test_a_mean_that_one_error_makes_has_no_interval():
     before = np.array([1.0] * 6 + [300.0] + [1.0] * 5)
     after = before * (0.5 + 0.1 * np.sin(np.arange(12)))
     # then half the error there is one number, and nothing is certain; with 5 m instead it is the mean of several
-    assert change_in_outages(30.0, before, after, 12).difference is None
+    assert change_in_outages(30.0, before, after, 12).log_ratio is None
     several = change_in_outages(30.0, np.minimum(before, 5.0), np.minimum(after, 2.5), 12)
-    assert several.difference.count == pytest.approx(6.5, abs=0.5) and several.sign() == -1
+    assert several.log_ratio.count == pytest.approx(6.5, abs=0.5) and several.sign() == -1
     # and a file beside itself is the same, whatever the errors
     assert decide([change_in_outages(30.0, before, before.copy(), 12)]).answer == SAME
 

@@ -48,7 +48,7 @@ class Change:
     """One error that a user feels, of two filters at the same epochs or in the same outages.
 
     duration: s without fixes; None: with fixes. before, after: m, the mean of the largest errors of `count` outages, or
-    the root mean square at `count` epochs. difference: logarithm of the ratio of after to before, of mean squares with
+    the root mean square at `count` epochs. log_ratio: logarithm of the ratio of after to before, of mean squares with
     fixes; None where there are too few to say. where: in which recording. every: s between fixes, 0 for all there are.
     """
 
@@ -56,31 +56,31 @@ class Change:
     before: float
     after: float
     count: int
-    difference: Difference | None
+    log_ratio: Difference | None
     where: str = ''
     every: float = 0.0
 
     def interval(self, level: float = LEVEL) -> tuple[float, float] | None:
         """The confidence interval of after minus before, m, given this value of before; None where there are too few
         to say, or to tell it (FAR)."""
-        if self.difference is None:
+        if self.log_ratio is None:
             return None
-        low, high = (d / power_of(self.duration) for d in self.difference.interval(level))
+        low, high = (d / power_of(self.duration) for d in self.log_ratio.interval(level))
         return told(low, high, self.before, self.after)
 
     @property
     def turned(self) -> Change:
         """The change from after to before."""
-        difference = self.difference and replace(self.difference, mean=-self.difference.mean)
-        return replace(self, before=self.after, after=self.before, difference=difference)
+        log_ratio = self.log_ratio and replace(self.log_ratio, mean=-self.log_ratio.mean)
+        return replace(self, before=self.after, after=self.before, log_ratio=log_ratio)
 
     def sign(self, level: float = LEVEL) -> int:
         """-1 if the error has certainly become smaller, by more than FELT; 1 if it has certainly become larger; else 0.
         """
         felt = max(FELT_PART * self.before, FELT)
-        if self.difference is None or abs(self.after - self.before) <= felt:
+        if self.log_ratio is None or abs(self.after - self.before) <= felt:
             return 0
-        low, high = self.difference.interval(level)
+        low, high = self.log_ratio.interval(level)
         return int(low > 0) - int(high < 0)
 
     @property
@@ -150,7 +150,7 @@ class Verdict:
         """The change for a headline: among the changes that decided, or else among all, the outages with a duration
         closest to HEADLINE; errors with fixes come last."""
         decided = {BETTER: self.gains, WORSE: self.losses}.get(self.answer) or self.gains or self.changes
-        known = [c for c in decided if c.difference is not None]
+        known = [c for c in decided if c.log_ratio is not None]
         return min(known or decided, key=lambda c: np.inf if c.duration is None else abs(np.log(c.duration / HEADLINE)),
                    default=None)
 
@@ -164,7 +164,7 @@ def decide(changes: Iterable[Change], candidates: float = 1.0) -> Verdict:
     hold together (Bonferroni).
     """
     changes = tuple(changes)
-    tested = [c for c in changes if c.difference is not None]
+    tested = [c for c in changes if c.log_ratio is not None]
     level = 1 - (1 - LEVEL) / (max(len(tested), 1) * candidates)
     signs = {c.sign(level) for c in tested}
     if signs >= {-1, 1} or not tested:

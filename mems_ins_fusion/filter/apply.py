@@ -28,7 +28,8 @@ from .trust.usual_speed import learn_speed
 from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
 
 #: largest number of fixes refused in a row that count as outliers: other inputs are not compared with them
-#: (`trust/displacement.py`). After more of them the filter may be wrong. Chosen, not measured
+#: (`trust/displacement.py`). After more of them the filter may be wrong. Chosen; a quarter and four times of it move
+#: little (docs/ablation.md)
 MOST_OUTLIERS = 3.0
 
 

@@ -59,17 +59,18 @@ Bank = HEAD.place(
 #: those after an IMU fault, fit at first
 EARLIER = (0.0, 2.0, 4.0, 8.0)
 #: nats: earlier begins are tried only if the second filter's score is lower by less (a trial takes 1 ms for 8 s at 100
-#: Hz), and a second filter that uses no fixes is published only if its score is higher by more. Chosen, not measured
+#: Hz), and a second filter that uses no fixes is published only if its score is higher by more. Chosen; a quarter and
+#: four times of it move little (docs/ablation.md)
 SERIOUS_NATS = 4.0
 #: nats per second, log likelihood ratio, at rest to in motion, while a standstill is detected: of the seconds of motion
 #: above 1 m/s the detector takes one in 270 for a standstill (docs/standstill.md), one in 20 counts here, as such
 #: seconds come together
 STANDSTILL_NATS = 3.0
 #: both filters agree where the square of each difference of position, velocity and heading is below this share of the
-#: smaller variance. Chosen, not measured
+#: smaller variance. Chosen; a quarter and four times of it move little (docs/ablation.md)
 AGREED_SHARE = 0.1
 #: share of `gnss.recovery_time` that remains for the decay of `_restart_penalty` when a filter starts anew from fixes
-#: that have been refused for that long. Chosen, not measured
+#: that have been refused for that long. Chosen; a quarter and four times of it move little (docs/ablation.md)
 FITTING_SHARE = 0.5
 
 

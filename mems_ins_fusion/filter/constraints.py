@@ -36,15 +36,16 @@ from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_upd
 #: errors
 CONSTRAINT_INTERVAL = 0.1
 #: the non-holonomic constraint has noise of constant density, so where the IMU is slower than CONSTRAINT_INTERVAL each
-#: application has a smaller variance. This is the largest divisor of the variance, reached at 5 Hz. Chosen, not
-#: measured
+#: application has a smaller variance. This is the largest divisor of the variance, reached at 5 Hz. Chosen; a quarter
+#: and four times of it move little (docs/ablation.md)
 LARGEST_DIVISOR = 2.0
 #: rad/s: a standstill that the accelerometers show is accepted only if the turn rate is below this (plus three sigma,
 #: added as squares). A robot that turns on the spot
 #: about its IMU is at rest for the accelerometers; its turns take 40 s at the most, which is this rate. A smaller error
 #: of a gyroscope is accepted as a standstill, so that it is corrected there
 STILL_RATE = 0.15
-#: s, time constant of the mean NIS of the non-holonomic constraint. Chosen, not measured
+#: s, time constant of the mean NIS of the non-holonomic constraint. Chosen; a quarter and four times of it move little
+#: (docs/ablation.md)
 CONSTRAINT_MEMORY = 10.0
 #: mean NIS above which the constraint is switched off; a vehicle that satisfies the constraint has 1
 CONSTRAINT_OFF = 6.0
@@ -75,25 +76,10 @@ def constrain(mem, r, sample):
     if still:
         speed, quiet = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]), mem[sample + Sample.STILL]
         odds = odds_of_standing(speed, velocity_variance(mem, r), quiet)
-        agrees = odds > SURE_ODDS
-        # a slow motion contradicts a standstill (a smooth, straight creep), but not where a gyroscope shows a turn:
-        # then the gyroscope is wrong, and has made the velocity wrong as well
-        still = ((agrees or not moves(mem, r) and _turns(mem, r, sample, n, 0.0, gyroscopes.JUMP_SIGMAS))
-                 and not _turns(mem, r, sample, n, STILL_RATE, ROBUST))
-        if still and not agrees:
-            for i in range(2):
-                mem[p + (n + 1) * (velocity_state(mem) + i)] += mem[r + Nav.V_N + i] ** 2
+        still = _is_believed(mem, r, sample, n, odds > SURE_ODDS)
     if still:
         creep.note_standstill(mem, r, p, n, since, quiet, odds)
-        mem[r + Standing.TIME] = mem[r + Nav.TIME]
-        dimensions = 3 if row_of(mem, Error.V_D) >= 0 else 2
-        standstill.observe_velocity(mem, r, at, h, n, dimensions, mem[Head.ZERO_VELOCITY_SIGMA] ** 2)
-        update(mem, r, at, n, dimensions, 1.0, 1.0, 0.0, 0.0, 0.0)
-        _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)
-        clear_rows(mem, h, n)
-        dimensions = standstill.observe_rate(mem, at, h, n, sample)
-        gyroscopes.allow_for_jump(mem, r, at, n, dimensions, sample)
-        update(mem, r, at, n, dimensions, 1.0, 1.0, 0.0, 0.0, 0.0)
+        _hold_still(mem, r, at, n, h, sample)
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
         c, shown = body_to_level(mem, r), mem[sample + Shown.SIDEWAYS]
         # with such noise or errors, how land vehicles accelerate is known better than the accelerometers measure it
@@ -120,6 +106,34 @@ def constrain(mem, r, sample):
 
 
 @njit(_nrt=False)
+def _is_believed(mem, r, sample, n, agrees):
+    """Whether a standstill that the samples show is used. agrees: whether the estimated speed agrees with it; where it
+    does not, P, which is in the scratch, is raised by the square of that speed."""
+    # a slow motion contradicts a standstill (a smooth, straight creep), but not where a gyroscope shows a turn: then
+    # the gyroscope is wrong, and has made the velocity wrong as well
+    believed = ((agrees or not moves(mem, r) and _turns(mem, r, sample, n, 0.0, gyroscopes.JUMP_SIGMAS))
+                and not _turns(mem, r, sample, n, STILL_RATE, ROBUST))
+    if believed and not agrees:
+        for i in range(2):
+            mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * (velocity_state(mem) + i)] += mem[r + Nav.V_N + i] ** 2
+    return believed
+
+
+@njit(_nrt=False)
+def _hold_still(mem, r, at, n, h, sample):
+    """Apply zero velocity and zero angular rate to the state at r."""
+    mem[r + Standing.TIME] = mem[r + Nav.TIME]
+    dimensions = 3 if row_of(mem, Error.V_D) >= 0 else 2
+    standstill.observe_velocity(mem, r, at, h, n, dimensions, mem[Head.ZERO_VELOCITY_SIGMA] ** 2)
+    update(mem, r, at, n, dimensions, 1.0, 1.0, 0.0, 0.0, 0.0)
+    _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)
+    clear_rows(mem, h, n)
+    dimensions = standstill.observe_rate(mem, at, h, n, sample)
+    gyroscopes.allow_for_jump(mem, r, at, n, dimensions, sample)
+    update(mem, r, at, n, dimensions, 1.0, 1.0, 0.0, 0.0, 0.0)
+
+
+@njit(_nrt=False)
 def decide_share(mem, r):
     """Of two IMUs that differ, take the one for right that the state at r shows to be."""
     value = imu_share.decided(mem, r)
@@ -136,7 +150,7 @@ def decide_share(mem, r):
 
 
 @njit(_nrt=False)
-def _share(since):
+def _variance_factor(since):
     """Factor on the variance of the non-holonomic constraint, `since` s after the previous one: noise of constant
     density."""
     return max(CONSTRAINT_INTERVAL / since, 1.0 / LARGEST_DIVISOR)
@@ -166,13 +180,13 @@ def _turns(mem, r, sample, n, rate, sigmas):
     return w_x * w_x + w_y * w_y + w_z * w_z > rate * rate + sigmas * sigmas * variance
 
 
-@njit(_nrt=False)
+@njit(_nrt=False, forceinline=True)
 def _constrain_motion(mem, r, at, n, h, dimensions, since, measured):
     """Apply the components of the non-holonomic constraint one after the other, unless the vehicle violates them.
 
     since: s since the previous application. measured: whether the IMU sample is valid; the turn rate of one that is
     bridged is assumed, and shows no slide. A component is tested with the variance of its event, at any rate of the
-    IMU; it is applied with the variance for its interval (`_share`), and so that the variance of what it measures does
+    IMU; it is applied with the variance for its interval (`_variance_factor`), and so that the variance of what it measures does
     not become smaller than the second-order term that the linearisation omits. That term is the same at each
     application while the errors are: as noise it would be averaged, and the filter would take the difference of
     successive applications, which comes from its own corrections of the speed, for knowledge of speed and direction.
@@ -203,7 +217,7 @@ def _constrain_motion(mem, r, at, n, h, dimensions, since, measured):
         if prior <= omitted:
             continue
         # R is raised until the normalized innovation is ROBUST
-        noise = max(nis / ROBUST**2, 1.0) * s - prior - omitted - (1.0 - _share(since)) * variance
+        noise = max(nis / ROBUST**2, 1.0) * s - prior - omitted - (1.0 - _variance_factor(since)) * variance
         noise = max(noise, prior * omitted / (prior - omitted))
         correct_by_scalar(mem, r, n, h + n * k, column, z, prior + noise)
 

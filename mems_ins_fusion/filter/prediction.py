@@ -59,17 +59,18 @@ GAP_ACCELERATION = 1.5
 #: rad/s (17 deg/s), standard deviation of its turn rate during a gap. Chosen; four times as much costs 24 m where an
 #: IMU restarts (docs/ablation.md)
 GAP_TURN_RATE = 0.3
-#: a gap adds this share of the heading's variance to roll and pitch: roads bend more than they tilt. Chosen, not
-#: measured
+#: a gap adds this share of the heading's variance to roll and pitch: roads bend more than they tilt. Chosen; a quarter
+#: and four times of it move little (docs/ablation.md)
 GAP_TILT_SHARE = 0.1
 #: rad, largest standard deviation that a gap gives to roll and pitch, however long it lasts: roads are not steeper
 GAP_TILT = 0.1
 #: s for which the unknown acceleration and turn rate of a gap are taken as constant. After that P goes on growing at
-#: the rate it has reached by then. Chosen, not measured
+#: the rate it has reached by then. Chosen; a quarter and four times of it move little (docs/ablation.md)
 LONGEST_BRIDGE = 2.0
 #: rad, standard deviation of a heading that is uniformly distributed over the circle
 UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)
-#: rad (3 deg), standard deviation of roll and pitch that are not known: slopes of roads. Chosen, not measured
+#: rad (3 deg), standard deviation of roll and pitch that are not known: slopes of roads. Chosen; a quarter and four
+#: times of it move little (docs/ablation.md)
 UNKNOWN_TILT_SIGMA = 0.05
 #: dt over the correlation time up to which the series in `_series` equals the exponential to rounding
 SERIES = 0.01
@@ -162,54 +163,73 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
 
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_planar(mem, dt, f_n, f_e, c, s, nonnegative(m), nonnegative(p))
+    # in the scratch: Phi P, navigation rows, in blocks of four columns (`_block`), and the sensors' rows of P
     g, e = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(src + a + 5 * n)
-    rows = g + 5 * n
+    augmented = g + 5 * LANES * _blocks(5)
+    rows = augmented + 5 * LANES * _blocks(m)
     _sensor_rows(mem, src + a, rows, 5, 3, n, p)
     if m < LANES:
         for j in range(m):
-            _store(mem, g + 5 + j, n, _planar_column(mem, dt, f_n, f_e, c, s, src + a + 5 + j, n, e + j, m * p))
+            _store(mem, augmented + j, LANES,
+                   _planar_column(mem, dt, f_n, f_e, c, s, src + a + 5 + j, n, e + j, m * p))
     for block in range(_blocks(5) + (0 if m < LANES else _blocks(m))):
         j, q, step = _block(block, 5, m, p, rows, e)
-        _put(mem, g + j, n, _planar_columns(mem, dt, f_n, f_e, c, s, src + a + j, n, q, step))
-    (g00, g01, g02, g03, g04), (g10, g11, g12, g13, g14) = _row(mem, g), _row(mem, g + n)
-    (g20, g21, g22, g23, g24), (g30, g31, g32, g33, g34) = _row(mem, g + 2 * n), _row(mem, g + 3 * n)
-    g40, g41, g42, g43, g44 = _row(mem, g + 4 * n)
-
-    # (Phi P) Phi^T, row by row; the white noise of a sensor is treated as an error that is constant over the interval
-    h = 0.5 * dt
-    nx, ny, nw = mem[WHITE], mem[WHITE + 1], mem[WHITE + 5]
-    x, y, w = g + 5, g + 5 + p, g + 5 + 2 * p
-    a00, a01, a02, a03, a04 = planar.error_step(
-        dt, f_n, f_e, c, s, g00, g01, g02, g03, g04,
-        mem[x] + nx * h * c, mem[y] - ny * h * s, mem[w] - nw * h * h * f_e)
-    _, a11, a12, a13, a14 = planar.error_step(
-        dt, f_n, f_e, c, s, g10, g11, g12, g13, g14,
-        mem[x + n] + nx * h * s, mem[y + n] + ny * h * c, mem[w + n] + nw * h * h * f_n)
-    _, _, a22, a23, a24 = planar.error_step(
-        dt, f_n, f_e, c, s, g20, g21, g22, g23, g24,
-        mem[x + 2 * n] + nx * c, mem[y + 2 * n] - ny * s, mem[w + 2 * n] - nw * h * f_e)
-    _, _, _, a33, a34 = planar.error_step(
-        dt, f_n, f_e, c, s, g30, g31, g32, g33, g34,
-        mem[x + 3 * n] + nx * s, mem[y + 3 * n] + ny * c, mem[w + 3 * n] + nw * h * f_n)
-    _, _, _, _, a44 = planar.error_step(dt, f_n, f_e, c, s, g40, g41, g42, g43, g44,
-                                        mem[x + 4 * n], mem[y + 4 * n], mem[w + 4 * n] + nw)
-    to = nonnegative(dst + a)
-    _store(mem, to, 1, (a00, a01, a02, a03, a04))
-    _store(mem, to + n + 1, 1, (a11, a12, a13, a14))
-    _store(mem, to + 2 * n + 2, 1, (a22, a23, a24))
-    _store(mem, to + 3 * n + 3, 1, (a33, a34))
-    mem[to + 4 * n + 4] = a44
-    _mirror(mem, to, 5, n)
-    _sensor_states(mem, src, dst, dt, 5, m, p)
+        _put(mem, g + 5 * LANES * block, _planar_columns(mem, dt, f_n, f_e, c, s, src + a + j, n, q, step))
+    _covariance_planar(mem, g, augmented, nonnegative(dst + a), n, m, p, dt, f_n, f_e, c, s)
+    _sensor_states(mem, src, dst, dt, 5, m, p, augmented)
     if mem[Share.STATE] > 0.0:
         d = sample + Difference.VALUE
         imu_share.add_error(mem, dst, sample, planar.error_step(
             dt, f_n, f_e, c, s, 0.0, 0.0, 0.0, 0.0, 0.0, mem[d], mem[d + 1], mem[d + 5]))
 
 
+@njit(_nrt=False, fastmath={'contract'}, forceinline=True)
+def _covariance_planar(mem, g, augmented, to, n, m, p, dt, f_n, f_e, c, s):
+    """Write (Phi P) Phi^T of the navigation errors, with white noise, to `to`, rows n apart. Phi P is at g, its columns
+    of the augmented states at `augmented` (`_block`)."""
+    (g00, g01, g02, g03, g04), (g10, g11, g12, g13, g14) = _five(mem, g), _five(mem, g + LANES)
+    (g20, g21, g22, g23, g24), (g30, g31, g32, g33, g34) = _five(mem, g + 2 * LANES), _five(mem, g + 3 * LANES)
+    g40, g41, g42, g43, g44 = _five(mem, g + 4 * LANES)
+
+    # row by row; the white noise of a sensor is treated as an error that is constant over the interval
+    h = 0.5 * dt
+    nx, ny, nw = mem[WHITE], mem[WHITE + 1], mem[WHITE + 5]
+    x, y, w = _column_at(augmented, 5, 0, m), _column_at(augmented, 5, p, m), _column_at(augmented, 5, 2 * p, m)
+    a00, a01, a02, a03, a04 = planar.error_step(
+        dt, f_n, f_e, c, s, g00, g01, g02, g03, g04,
+        mem[x] + nx * h * c, mem[y] - ny * h * s, mem[w] - nw * h * h * f_e)
+    _, a11, a12, a13, a14 = planar.error_step(
+        dt, f_n, f_e, c, s, g10, g11, g12, g13, g14,
+        mem[x + LANES] + nx * h * s, mem[y + LANES] + ny * h * c, mem[w + LANES] + nw * h * h * f_n)
+    _, _, a22, a23, a24 = planar.error_step(
+        dt, f_n, f_e, c, s, g20, g21, g22, g23, g24,
+        mem[x + 2 * LANES] + nx * c, mem[y + 2 * LANES] - ny * s, mem[w + 2 * LANES] - nw * h * f_e)
+    _, _, _, a33, a34 = planar.error_step(
+        dt, f_n, f_e, c, s, g30, g31, g32, g33, g34,
+        mem[x + 3 * LANES] + nx * s, mem[y + 3 * LANES] + ny * c, mem[w + 3 * LANES] + nw * h * f_n)
+    _, _, _, _, a44 = planar.error_step(dt, f_n, f_e, c, s, g40, g41, g42, g43, g44,
+                                        mem[x + 4 * LANES], mem[y + 4 * LANES], mem[w + 4 * LANES] + nw)
+    _store(mem, to, 1, (a00, a01, a02, a03, a04))
+    _store(mem, to + n + 1, 1, (a11, a12, a13, a14))
+    _store(mem, to + 2 * n + 2, 1, (a22, a23, a24))
+    _store(mem, to + 3 * n + 3, 1, (a33, a34))
+    mem[to + 4 * n + 4] = a44
+    _mirror(mem, to, 5, n)
+
+
 @njit(inline='always')
-def _row(mem, at):
-    return mem[at], mem[at + 1], mem[at + 2], mem[at + 3], mem[at + 4]
+def _five(mem, at):
+    """A row of Phi P, planar: the five columns of the navigation errors, in two blocks; at: of its first element."""
+    return mem[at], mem[at + 1], mem[at + 2], mem[at + 3], mem[at + 5 * LANES + 3]
+
+
+@njit(inline='always')
+def _nine(mem, at):
+    """`_five` for the strapdown mechanization: nine columns in three blocks, as three errors each of position, velocity
+    and attitude."""
+    second, third = at + 9 * LANES, at + 18 * LANES
+    return ((mem[at], mem[at + 1], mem[at + 2]), (mem[at + 3], mem[second], mem[second + 1]),
+            (mem[second + 2], mem[second + 3], mem[third + 3]))
 
 
 @njit(inline='always')
@@ -254,7 +274,8 @@ def _block(block, size, m, p, rows, e):
     """The first of four columns of P, and where the rows of the sensors' errors have them: position and step.
 
     First come the `size` navigation errors, whose rows are at `rows`, then the m augmented states, at e. The last four
-    of each may overlap with those before them.
+    of each may overlap with those before them. Of Phi P each block of four columns stands alone, row by row: so the
+    steps within it are constants, and do not depend on the number of states.
     """
     first = _blocks(size)
     if block < first:
@@ -262,6 +283,14 @@ def _block(block, size, m, p, rows, e):
         return j, rows + j, size
     j = min(LANES * (block - first), m - LANES)
     return size + j, e + j, m * p
+
+
+@njit(inline='always')
+def _column_at(augmented, size, j, m):
+    """Position of the first of `size` elements, LANES apart, of column j of the augmented states in Phi P. augmented:
+    position of their first block."""
+    block = j // LANES
+    return augmented + size * LANES * block + j - (min(LANES * block, m - LANES) if m >= LANES else 0)
 
 
 @njit(inline='always')
@@ -289,6 +318,14 @@ def _strapdown_column(mem, transition, k, step, q, sensor_step):
         (mem[k + 6 * step], mem[k + 7 * step], mem[k + 8 * step]),
         (mem[q], mem[q + sensor_step], mem[q + 2 * sensor_step]),
         (mem[q + 3 * sensor_step], mem[q + 4 * sensor_step], mem[q + 5 * sensor_step]))
+
+
+@njit(inline='always')
+def _strapdown_row(mem, transition, at, sensors):
+    """[F, B] times a row of Phi P (`_nine`); sensors: position of the first of its six sensor errors, nine apart."""
+    r, v, phi = _nine(mem, at)
+    return strapdown.error_step(transition, r, v, phi, (mem[sensors], mem[sensors + 9], mem[sensors + 18]),
+                                (mem[sensors + 27], mem[sensors + 36], mem[sensors + 45]))
 
 
 @njit(_nrt=False)
@@ -393,19 +430,18 @@ def _decays(mem, at, dt, m):
 
 
 @njit(inline='always')
-def _sensor_states(mem, src, dst, dt, size, m, p):
+def _sensor_states(mem, src, dst, dt, size, m, p, augmented):
     """Predict x and P of the m augmented states, which follow `size` navigation errors, with the steps of AR(p).
 
-    At the begin of the scratch is Phi P, navigation rows of Phi.
+    augmented: position of their columns of Phi P, navigation rows of Phi (`_block`).
     """
     x, n = NAV + size, size + m
     a = NAV + n
     e = a + size * n
-    g = nonnegative(int(mem[Head.SCRATCH_AT]))
-    decays = g + size * n
+    decays = augmented + size * LANES * _blocks(m)
     scaled = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # number of states whose process noise trust/drift.py scales
     _decays(mem, decays, dt, m)
-    _decay_augmented(mem, g + size, dst + a + size, size, n, src + e, dst + e, decays, m)
+    _decay_augmented(mem, augmented, dst + a + size, size, n, src + e, dst + e, decays, m)
     for j in range(m):
         decay, row = mem[decays + j], nonnegative(dst + e + m * j)
         mem[dst + x + j] = decay * mem[src + x + j]
@@ -423,21 +459,21 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
 def _decay_augmented(mem, cross, cross_to, size, n, own, own_to, decays, m):
     """P Phi^T of the m augmented states' columns, which decay by what is at `decays`.
 
-    cross: position of the first of `size` rows, n apart, of the navigation errors. own: of the block (m, m), whose rows
-    decay as well. The results go to cross_to and own_to, symmetric to the last bit.
+    cross: position of their columns of Phi P (`_block`), `size` rows. own: of the block (m, m), whose rows decay as
+    well. The results go to cross_to, with rows n apart, and own_to, symmetric to the last bit.
     """
     if m < LANES:
         for j in range(m):
             for i in range(size):
-                mem[cross_to + n * i + j] = mem[decays + j] * mem[cross + n * i + j]
+                mem[cross_to + n * i + j] = mem[decays + j] * mem[cross + LANES * i + j]
             for i in range(m):
                 mem[own_to + m * i + j] = mem[decays + i] * mem[decays + j] * mem[own + m * i + j]
         return
     for block in range(_blocks(m)):
         j = min(LANES * block, m - LANES)
-        decay = four(mem, decays + j)
+        decay, at = four(mem, decays + j), cross + size * LANES * block
         for i in range(size):
-            put(mem, cross_to + n * i + j, decay * four(mem, cross + n * i + j))
+            put(mem, cross_to + n * i + j, decay * four(mem, at + LANES * i))
         for i in range(m):
             put(mem, own_to + m * i + j, mem[decays + i] * decay * four(mem, own + m * i + j))
 
@@ -499,12 +535,11 @@ def _companion(mem, at, stride, p, a):
     mem[at] = y
 
 
-@njit(_nrt=False, fastmath={'contract'})
+@njit(_nrt=False, fastmath={'contract'}, forceinline=True)
 def _step_strapdown(mem, src, dst, sample, dt, m, p):
     """Predict one interval of dt, s, with the strapdown mechanization; m augmented states, p states per channel."""
     src, dst, sample, m, p = nonnegative(src), nonnegative(dst), nonnegative(sample), nonnegative(m), nonnegative(p)
-    x, n = NAV + 9, 9 + m
-    a = NAV + n  # first position of P
+    x = NAV + 9
     closed = mem[Head.OPEN_LOOP] == 0.0
     f = (mem[sample + Sample.F_X], mem[sample + Sample.F_Y], mem[sample + Sample.F_Z])
     w = (mem[sample + Sample.W_X], mem[sample + Sample.W_Y], mem[sample + Sample.W_Z])
@@ -537,56 +572,67 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     else:
         _store(mem, dst + NAV, 1, _strapdown_column(mem, transition, src + NAV, 1, src + x, p))
 
-    # Phi P, four columns at once, then (Phi P) Phi^T, row by row. In the scratch: Phi P at g, the sensors' rows of P,
-    # and at u their columns of Phi P with their white noise, which is treated as an error that is constant over dt
-    g, e = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(src + a + 9 * n)
-    rows = g + 9 * n
-    u = rows + 54
-    _sensor_rows(mem, src + a, rows, 9, 6, n, p)
-    for block in range(_blocks(9) + _blocks(m)):
-        j, q, step = _block(block, 9, m, p, rows, e)
-        _put(mem, g + j, n, _strapdown_columns(mem, transition, src + a + j, n, q, step))
-    h = 0.5 * dt
-    more = force_noise(mem, src)
-    gyroscopes = nonnegative(src + x + 3 * p)  # their estimated errors, which w contains in open loop
-    for axis in range(3):
-        k, q = nonnegative(g + 9 + p * axis), nonnegative(u + 9 * axis)
-        white_f = density(mem, sample, axis) + more
-        rate = mem[sample + Sample.W_X + axis] - mem[gyroscopes + p * axis]
-        white_w = density(mem, sample, 3 + axis) + mem[Turns.NOISE] * rate * rate
-        x, y, z = strapdown.column(c, axis)
-        turned = h * (y * f_level[2] - z * f_level[1]), h * (z * f_level[0] - x * f_level[2]), h * (
-            x * f_level[1] - y * f_level[0])
-        _add(mem, q, k, n, white_f, (h * x, h * y, h * z, x, y, z, 0.0, 0.0, 0.0))
-        _add(mem, q + 27, k + 3 * p, n, white_w, (
-            h * turned[0], h * turned[1], h * turned[2], turned[0], turned[1], turned[2], x, y, z))
-    to = nonnegative(dst + a)  # of the rows of velocity and attitude only what is not below the diagonal is needed
-    for i in range(3):
-        _store(mem, to + n * i, 1, _strapdown_column(mem, transition, g + n * i, 1, u + i, 9))
-    for i in range(3, 6):
-        _store(mem, to + n * i + 3, 1, _strapdown_column(mem, transition, g + n * i, 1, u + i, 9)[3:])
-    for i in range(6, 9):
-        _store(mem, to + n * i + 6, 1, _strapdown_column(mem, transition, g + n * i, 1, u + i, 9)[6:])
-    _mirror(mem, to, 9, n)
-    _sensor_states(mem, src, dst, dt, 9, m, p)
+    augmented = _covariance_strapdown(mem, src, dst, sample, dt, m, p, transition, c, f_level)
+    _sensor_states(mem, src, dst, dt, 9, m, p, augmented)
     if mem[Share.STATE] > 0.0:
         d = sample + Difference.VALUE
         imu_share.add_error(mem, dst, sample, strapdown.error_step(
             transition, ZERO, ZERO, ZERO, (mem[d], mem[d + 1], mem[d + 2]), (mem[d + 3], mem[d + 4], mem[d + 5])))
 
 
+@njit(_nrt=False, fastmath={'contract'}, forceinline=True)
+def _covariance_strapdown(mem, src, dst, sample, dt, m, p, transition, c, f_level):
+    """Write (Phi P) Phi^T of the navigation errors, with white noise, to dst. Returns the position of the columns of
+    Phi P of the augmented states (`_block`). c, f_level: of `strapdown.mechanize`."""
+    n = 9 + m
+    a = NAV + n
+    # Phi P, four columns at once (`_block`), then (Phi P) Phi^T, row by row. In the scratch: Phi P, at u the sensors'
+    # columns of it with their white noise, which is treated as an error that is constant over dt, and their rows of P
+    g, e = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(src + a + 9 * n)
+    augmented, u = g + 9 * LANES * _blocks(9), g + 9 * LANES * (_blocks(9) + _blocks(m))
+    rows = u + 54
+    _sensor_rows(mem, src + a, rows, 9, 6, n, p)
+    for block in range(_blocks(9) + _blocks(m)):
+        j, q, step = _block(block, 9, m, p, rows, e)
+        _put(mem, g + 9 * LANES * block, _strapdown_columns(mem, transition, src + a + j, n, q, step))
+    h = 0.5 * dt
+    more = force_noise(mem, src)
+    gyroscopes = nonnegative(src + NAV + 9 + 3 * p)  # their estimated errors, which w contains in open loop
+    for axis in range(3):
+        force, turn = _column_at(augmented, 9, p * axis, m), _column_at(augmented, 9, p * (3 + axis), m)
+        q = nonnegative(u + 9 * axis)
+        white_f = density(mem, sample, axis) + more
+        rate = mem[sample + Sample.W_X + axis] - mem[gyroscopes + p * axis]
+        white_w = density(mem, sample, 3 + axis) + mem[Turns.NOISE] * rate * rate
+        x, y, z = strapdown.column(c, axis)
+        turned = h * (y * f_level[2] - z * f_level[1]), h * (z * f_level[0] - x * f_level[2]), h * (
+            x * f_level[1] - y * f_level[0])
+        _add(mem, q, force, white_f, (h * x, h * y, h * z, x, y, z, 0.0, 0.0, 0.0))
+        _add(mem, q + 27, turn, white_w, (
+            h * turned[0], h * turned[1], h * turned[2], turned[0], turned[1], turned[2], x, y, z))
+    to = nonnegative(dst + a)  # of the rows of velocity and attitude only what is not below the diagonal is needed
+    for i in range(3):
+        _store(mem, to + n * i, 1, _strapdown_row(mem, transition, g + LANES * i, u + i))
+    for i in range(3, 6):
+        _store(mem, to + n * i + 3, 1, _strapdown_row(mem, transition, g + LANES * i, u + i)[3:])
+    for i in range(6, 9):
+        _store(mem, to + n * i + 6, 1, _strapdown_row(mem, transition, g + LANES * i, u + i)[6:])
+    _mirror(mem, to, 9, n)
+    return augmented
+
+
 @njit(inline='always')
-def _add(mem, to, source, step, factor, values):
-    """Write to `to` the nine elements at source, source + step, ... plus `factor` times the nine values."""
+def _add(mem, to, source, factor, values):
+    """Write to `to` the nine elements at source, source + LANES, ... plus `factor` times the nine values."""
     for i in range(9):
-        mem[to + i] = mem[source + step * i] + factor * values[i]
+        mem[to + i] = mem[source + LANES * i] + factor * values[i]
 
 
 @njit(inline='always')
-def _put(mem, at, step, values):
-    """Write fours to at, at + step, ..."""
+def _put(mem, at, values):
+    """Write fours, one after the other, to `at` on."""
     for i in range(len(values)):
-        put(mem, at + step * i, values[i])
+        put(mem, at + LANES * i, values[i])
 
 
 @njit(inline='always')

@@ -37,18 +37,26 @@ ROBUST = 3.0
 def project(mem, n, h, column):
     """Write P H^T to `column` (n,) and return H P H^T. h: position of the row H; P is at the begin of the scratch."""
     p, h, column = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(h), nonnegative(column)
-    blocks = nonnegative(n) // LANES
+    before, last = _blocks(n)
     for i in range(n):
         mem[column + i] = 0.0
     for j in range(n):
         factor, row = mem[h + j], nonnegative(p + n * j)
         if factor != 0.0:
-            for block in range(blocks):
+            for block in range(before):
                 i = LANES * block
                 put(mem, column + i, four(mem, column + i) + factor * four(mem, row + i))
-            for i in range(LANES * blocks, n):
-                mem[column + i] += factor * mem[row + i]
+            i, end = LANES * before, four(mem, column + last) + factor * four(mem, row + last)
+            put(mem, column + i, four(mem, column + i) + factor * four(mem, row + i))
+            put(mem, column + last, end)
     return product(mem, n, h, column)
+
+
+@njit(inline='always')
+def _blocks(n):
+    """Of n columns: how many blocks of four come before the last two, and the first column of the last block, which may
+    overlap with the one before it: both are read before one of them is written."""
+    return max(n // LANES - 1, 0), nonnegative(n - LANES)
 
 
 @njit(_nrt=False)
@@ -68,17 +76,20 @@ def correct_by_scalar(mem, r, n, h, column, z, s):
     stays symmetric to the last bit.
     """
     p, x, h, column = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(r + NAV), nonnegative(h), nonnegative(column)
-    residual, inverse, blocks = z - product(mem, n, h, x), 1.0 / s, nonnegative(n) // LANES
+    residual, inverse = z - product(mem, n, h, x), 1.0 / s
     for i in range(n):
         mem[x + i] += mem[column + i] * inverse * residual
-    for block in range(blocks):  # four columns of P at once
+    before, last = _blocks(n)
+    for block in range(before):  # four columns of P at once
         others, at = four(mem, column + LANES * block), p + LANES * block
         for i in range(n):
             put(mem, at + n * i, four(mem, at + n * i) - mem[column + i] * others * inverse)
-    for j in range(LANES * blocks, n):  # and the rest
-        other, at = mem[column + j], p + j
-        for i in range(n):
-            mem[at + n * i] -= mem[column + i] * other * inverse
+    others, at = four(mem, column + LANES * before), p + LANES * before
+    others_last, at_last = four(mem, column + last), p + last
+    for i in range(n):
+        end = four(mem, at_last + n * i) - mem[column + i] * others_last * inverse
+        put(mem, at + n * i, four(mem, at + n * i) - mem[column + i] * others * inverse)
+        put(mem, at_last + n * i, end)
     if mem[Head.HISTORY_AT] > 0.0:
         history.note_correction(mem, n, h, column, residual, s)
 
@@ -130,10 +141,27 @@ def update(mem, r, at, n, dimensions, factor, repeated, robust, gate, robust_alo
         mem[at + Event.WEIGHT] = 1.0 / (1.0 + inflation)
     r_nn, r_ne, r_ee = repeated * r_nn, repeated * r_ne, repeated * r_ee
 
-    # the first two are decorrelated with the Cholesky factor of R, then applied one after the other
     if dimensions > 2:
         s_dd = r_dd + project(mem, n, h + 2 * n, column)
         mem[at + Event.S_DD] = s_dd
+    _correct_first_two(mem, r, n, dimensions, z_n, z_e, r_nn, r_ne, r_ee)
+    if dimensions > 2:
+        down = mem[at + Event.Z_D] ** 2 / s_dd
+        if gate > 0.0 and down > gate * gate:
+            return verdict
+        if robust_alone > 0.0 and down > robust_alone * robust_alone:
+            r_dd += (down / (robust_alone * robust_alone) - 1.0) * s_dd
+        s = repeated * r_dd + project(mem, n, h + 2 * n, column)
+        correct_by_scalar(mem, r, n, h + 2 * n, column, z_d, s)
+    return verdict
+
+
+@njit(_nrt=False)
+def _correct_first_two(mem, r, n, dimensions, z_n, z_e, r_nn, r_ne, r_ee):
+    """Correct the state at r with the first one or two components of a measurement, decorrelated with the Cholesky
+    factor of R, one after the other. Their rows of H follow P in the scratch, and are divided by that factor."""
+    h = int(mem[Head.SCRATCH_AT]) + n * n
+    column = h + 3 * n
     l_nn = math.sqrt(r_nn)
     for i in range(n):
         mem[h + i] /= l_nn
@@ -148,15 +176,6 @@ def update(mem, r, at, n, dimensions, factor, repeated, robust, gate, robust_alo
         z_e = (z_e - l_en * z_n) / l_ee
         s = 1.0 + project(mem, n, h + n, column)
         correct_by_scalar(mem, r, n, h + n, column, z_e, s)
-    if dimensions > 2:
-        down = mem[at + Event.Z_D] ** 2 / s_dd
-        if gate > 0.0 and down > gate * gate:
-            return verdict
-        if robust_alone > 0.0 and down > robust_alone * robust_alone:
-            r_dd += (down / (robust_alone * robust_alone) - 1.0) * s_dd
-        s = repeated * r_dd + project(mem, n, h + 2 * n, column)
-        correct_by_scalar(mem, r, n, h + 2 * n, column, z_d, s)
-    return verdict
 
 
 @njit(_nrt=False)

@@ -46,13 +46,13 @@ NO_EVENTS = np.zeros((0, Event.SIZE))
 
 
 def recording(minutes: float):
-    """Samples (k, 7): time, specific force and angular rate in sensor axes; fixes of a vehicle in a large slow circle,
-    and how many samples came before each."""
+    """Samples (k, 7): time, specific force and angular rate in sensor axes; fixes of a vehicle in a large slow circle
+    to the right, and how many samples came before each."""
     rng = np.random.default_rng(1)
     n = round(minutes * 60 * RATE)
     stamp = np.arange(1, n + 1) / RATE
-    force = np.array([0.0, 0.5, 9.81]) + rng.normal(0, 0.1, (n, 3))
-    rate = np.array([0.0, 0.0, 0.05]) + rng.normal(0, 3e-3, (n, 3))
+    force = np.array([0.0, -0.5, 9.81]) + rng.normal(0, 0.1, (n, 3))
+    rate = np.array([0.0, 0.0, -0.05]) + rng.normal(0, 3e-3, (n, 3))
     fixes = np.zeros((int(n / RATE) - 1, Event.SIZE))
     fixes[:, Event.TIME] = np.arange(1, len(fixes) + 1) + 0.0037
     angle = 0.05 * fixes[:, Event.TIME]

@@ -5,7 +5,7 @@ trial it is started in advance. The innovations of the fixes in both filters are
 new filter takes over once it is shown to be better, or once it is about as certain as the present one. The replaced
 filter, which does not contain the finding that was applied, continues in parallel: if the finding becomes wrong, as
 when a driver is restarted, this filter is better within seconds and takes over at once. Before this is certain, the
-published estimate goes over to it (`ParallelFilter.share`) and its covariance covers both. It does not jump
+published estimate goes over to it (`ParallelFilter.weight`) and its covariance covers both. It does not jump
 (blending.py). All decisions depend only on stamps and values of the inputs: live and in a replay the filters
 change at the same sample.
 """
@@ -145,21 +145,21 @@ class ParallelFilter:
         self.fusion, self.begun, self.since, self.is_new = fusion, begun, begun, is_new
         self._bets, self._compared, self._settling = Bets(), after, settling
         self._settled: int | None = None  # ns, from when on there are bets
-        self._shares, self._bet = (0.0, 0.0), begun  # `share` before the last bet and a second after it; ns, the bet
+        self._weights, self._bet = (0.0, 0.0), begun  # `weight` before the last bet and a second after it; ns, the bet
 
     def begin_anew(self) -> None:
         """Reset the comparison: both filters have to align again."""
-        self._settled, self._shares = None, (0.0, 0.0)
+        self._settled, self._weights = None, (0.0, 0.0)
 
     def is_better(self, wealth: float) -> bool:
         """Whether the wealth staked on this filter has reached `wealth`."""
         return self.fusion.aligned and self._bets.pro >= math.log(wealth)
 
-    def share(self, stamp: int) -> float:
-        """Share of this filter, which is without a finding, in the published estimate at `stamp`, ns: 1 less the
+    def weight(self, stamp: int) -> float:
+        """Weight of this filter, which is without a finding, in the published estimate at `stamp`, ns: 1 less the
         inverse of the odds that the finding is wrong, 1 to SHOWN_BETTER times the wealth; none below equal odds, from
         where it grows without a step. It changes within a second."""
-        before, after = self._shares
+        before, after = self._weights
         part = min((stamp - self._bet) / COMPARISON_PERIOD, 1.0)
         return before + (after - before) * part if self.fusion.aligned else 0.0
 
@@ -181,7 +181,7 @@ class ParallelFilter:
                           for misfits in (present, own)))
         if self._bets.pro <= 0.0:
             self._bets.pro, self.since = 0.0, now
-        self._shares = self.share(now), max(1.0 - SHOWN_BETTER * math.exp(-self._bets.pro), 0.0)
+        self._weights = self.weight(now), max(1.0 - SHOWN_BETTER * math.exp(-self._bets.pro), 0.0)
         self._bet = now
 
 
@@ -199,9 +199,9 @@ class ChangingFilter(WatchedFilter):
         self._doubted: frozenset[str] = frozenset()
         self._dropped: list[Dropped] = []
         self._blending: Blending | None = None
-        self._said_suspected: list[str] = []  # `_suspected` of the last message on it
+        self._said_suspected: str | None = None  # `_suspected` of the last message on it
         #: north and east, m: distance of the published position from the further one of the two filters it is between
-        self._shared = 0.0, 0.0
+        self._further = 0.0, 0.0
         self.handovers: list[Handover] = []
         super().__init__(config)
 
@@ -230,13 +230,13 @@ class ChangingFilter(WatchedFilter):
         # where a finding is taken back, the filter without it runs already
         there = next((one for one in self._beside.values() if one.fusion.config.parameters == values), None)
         suspected = self._suspected
-        if suspected:
+        if suspected is not None:
             self.update_odometry()
         published = self.odometry.copy()
         self._next = there or self._having(values)
         self._ready = [one for one in self._ready if one is not self._next]
         self._beside = {name: one for name, one in self._beside.items() if one is not self._next}
-        if suspected and suspected != self._suspected:
+        if suspected is not None and suspected != self._suspected:
             self._begin_blending(published)
 
     def prepare(self, several: list[dict]) -> None:
@@ -318,9 +318,10 @@ class ChangingFilter(WatchedFilter):
         """As `FusionFilter.update_odometry`, with the part of a filter without a finding that seems to be wrong, and
         the transition of `blending.py` after another filter has taken over."""
         stamp = super().update_odometry()
-        self._shared = 0.0, 0.0
-        for name in self._suspected:
-            self._share_with(self._beside[name], stamp)
+        self._further = 0.0, 0.0
+        suspected = self._suspected
+        if suspected is not None:
+            self._move_toward(self._beside[suspected], stamp)
         if self._blending is not None:
             part = self._blending.part(stamp)
             if part > 0.0:
@@ -330,31 +331,33 @@ class ChangingFilter(WatchedFilter):
         return stamp
 
     @property
-    def _suspected(self) -> list[str]:
-        """Name of the finding that seems to be wrong, or nothing: the one without which the fixes are met best."""
-        best = max(self._beside, key=lambda name: self._beside[name].share(self._now), default=None)
-        return [best] if best is not None and self._beside[best].share(self._now) > 0.0 else []
+    def _suspected(self) -> str | None:
+        """Name of the finding that seems to be wrong: the one without which the fixes are met best; None: there is
+        none."""
+        weight, best = max(((one.weight(self._now), name) for name, one in self._beside.items()),
+                           key=lambda found: found[0], default=(0.0, None))
+        return best if weight > 0.0 else None
 
-    def _share_with(self, one: ParallelFilter, stamp: int) -> None:
-        """Let `one` have its share in the estimate at `stamp`, ns, with the square of the distance to the further one
-        of both in the covariances: at a small share `one` may well be right."""
-        share, other = one.share(stamp), one.fusion
+    def _move_toward(self, one: ParallelFilter, stamp: int) -> None:
+        """Move the estimate at `stamp`, ns, by the weight of `one` toward it, with the square of the distance to the
+        further one of both in the covariances: at a small weight `one` may well be right."""
+        weight, other = one.weight(stamp), one.fusion
         other.datum = self.datum
         other.update_odometry()
         for covariance in (slice(POSE_COVARIANCE, LINEAR), slice(TWIST_COVARIANCE, None)):
-            self.odometry[covariance] += share * (other.odometry[covariance] - self.odometry[covariance])
-        self.position_covariance_enu += share * (other.position_covariance_enu - self.position_covariance_enu)
+            self.odometry[covariance] += weight * (other.odometry[covariance] - self.odometry[covariance])
+        self.position_covariance_enu += weight * (other.position_covariance_enu - self.position_covariance_enu)
         toward = blending(stamp, other.odometry, self.odometry)
-        further = max(share, 1.0 - share)
-        toward.add_to(self.odometry, self.geodetic, self.position_covariance_enu, share, further)
-        self._shared = further * float(toward.position[1]), further * float(toward.position[0])
+        further = max(weight, 1.0 - weight)
+        toward.add_to(self.odometry, self.geodetic, self.position_covariance_enu, weight, further)
+        self._further = further * float(toward.position[1]), further * float(toward.position[0])
 
     def horizon(self) -> Horizon | None:
         """As `FusionFilter.horizon`, of the published estimate."""
-        if self._memory is None or (self._blending is None and not self._suspected):
+        if self._memory is None or (self._blending is None and self._suspected is None):
             return super().horizon()
         self.update_odometry()
-        added = self._blending.left(self._now) if self._blending is not None else (*self._shared, math.inf)
+        added = self._blending.left(self._now) if self._blending is not None else (*self._further, math.inf)
         return self._horizon.predict(self._memory, added=added, realised=self._withheld.realised)
 
     def warm_up(self) -> None:
@@ -389,11 +392,11 @@ class ChangingFilter(WatchedFilter):
         before, self._said_suspected = self._said_suspected, self._suspected
         if self._said_suspected == before:
             return
-        for name in self._said_suspected:
-            self.say('warning', f'{name}: the fixes are met better without it: the estimate moves there, and its '
-                                'covariance covers both, until it is certain whether it is wrong')
-        if not self._said_suspected and before[0] in self._beside:
-            self.say('info', f'{before[0]}: the fixes are no longer met better without it: the estimate is the one '
+        if self._said_suspected is not None:
+            self.say('warning', f'{self._said_suspected}: the fixes are met better without it: the estimate moves '
+                                'there, and its covariance covers both, until it is certain whether it is wrong')
+        elif before in self._beside:
+            self.say('info', f'{before}: the fixes are no longer met better without it: the estimate is the one '
                              'with it again')
 
     def _follow_up(self, now: int) -> None:

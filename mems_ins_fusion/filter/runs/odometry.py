@@ -158,24 +158,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
             if i < 3 and j < 3:
                 geodetic_covariance[3 * i + j] = sign_a * sign_b * nine[9 * a + b]
 
-    # velocity in b: C^T v, its error C^T (dv + [v x] phi)
-    jacobian = np.zeros(27)
-    for k in range(3):
-        x, y, z = strapdown.column(c, k)
-        row = 9 * k
-        sign = 1.0 if k == 0 else -1.0  # forward-right-down to forward-left-up
-        out[LINEAR + k] = sign * (x * v_n + y * v_e + z * v_d)
-        jacobian[row + 3], jacobian[row + 4], jacobian[row + 5] = sign * x, sign * y, sign * z
-        jacobian[row + 6] = sign * (y * v_d - z * v_e)
-        jacobian[row + 7] = sign * (z * v_n - x * v_d)
-        jacobian[row + 8] = sign * (x * v_e - y * v_n)
-    for i in range(3):
-        for j in range(3):
-            total = 0.0
-            for k in range(3, 9):
-                for other in range(3, 9):
-                    total += jacobian[9 * i + k] * nine[9 * k + other] * jacobian[9 * j + other]
-            out[TWIST_COVARIANCE + 6 * i + j] = total
+    _linear(c, v_n, v_e, v_d, nine, out)
     _angular(memory, newest, r, sample, full, out)
     return memory[r + Nav.TIME]
 
@@ -197,6 +180,30 @@ def _orientation(q, out):
     sign = 1.0 if r[0] >= 0.0 else -1.0
     out[ORIENTATION], out[ORIENTATION + 1] = sign * r[1], sign * r[2]
     out[ORIENTATION + 2], out[ORIENTATION + 3] = sign * r[3], sign * r[0]
+
+
+@njit
+def _linear(c, v_n, v_e, v_d, nine, out):
+    """Write velocity in base_link and its covariance. c: rotation from b to n. nine: covariance 9 x 9 of position,
+    velocity and attitude."""
+    # velocity in b: C^T v, its error C^T (dv + [v x] phi)
+    jacobian = np.zeros(27)
+    for k in range(3):
+        x, y, z = strapdown.column(c, k)
+        row = 9 * k
+        sign = 1.0 if k == 0 else -1.0  # forward-right-down to forward-left-up
+        out[LINEAR + k] = sign * (x * v_n + y * v_e + z * v_d)
+        jacobian[row + 3], jacobian[row + 4], jacobian[row + 5] = sign * x, sign * y, sign * z
+        jacobian[row + 6] = sign * (y * v_d - z * v_e)
+        jacobian[row + 7] = sign * (z * v_n - x * v_d)
+        jacobian[row + 8] = sign * (x * v_e - y * v_n)
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for k in range(3, 9):
+                for other in range(3, 9):
+                    total += jacobian[9 * i + k] * nine[9 * k + other] * jacobian[9 * j + other]
+            out[TWIST_COVARIANCE + 6 * i + j] = total
 
 
 @njit

@@ -7,13 +7,13 @@ velocity the filter estimates.
 For each input there is a separate Kalman filter with two states:
 
 * the *distance* d from the antenna to the point that the input's velocity leads to when it is integrated, m;
-* the *share* s by which the input's displacement is longer than that of the antenna.
+* the *relative error* s by which the input's displacement is longer than that of the antenna.
 
 The distance changes by s times the displacement, and each fix measures it. Both are complex numbers, north + i east:
-the real part of the share is an error of length, the imaginary part one of direction, as by a wrong heading. Thus the
-equations are those of one axis, and variances are real. An input with a significant share is refused until it is right
-again, also without fixes. A heading is integrated as well, with the forward speed of the state. All displacements are
-those of the antenna, which in a turn on the spot moves by more than the noise of the fixes.
+the real part of the relative error is one of length, the imaginary part one of direction, as by a wrong heading. Thus
+the equations are those of one axis, and variances are real. An input with a significant relative error is refused until
+it is right again, also without fixes. A heading is integrated as well, with the forward speed of the state. All
+displacements are those of the antenna, which in a turn on the spot moves by more than the noise of the fixes.
 """
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ Integral = INPUT.place(
     TRAVELLED=2,  # m, north and east, displacement of the filter since START
     DISTANCE=2,  # m, north and east, from the antenna to the integral: estimate minus measurement at START,
     DISTANCE_VARIANCE=1,  # m^2, variance of the estimate,
-    COVARIANCE=2,  # m, and its covariance with the share
-    SHARE=2,  # by which its displacements are longer than those of the antenna, and to the side,
-    REDUCED=1,  # and SHARE_PRIOR minus its variance
+    COVARIANCE=2,  # m, and its covariance with the relative error
+    RELATIVE_ERROR=2,  # by which its displacements are longer than those of the antenna, and to the side,
+    REDUCED=1,  # and PRIOR minus its variance
     COMPARED=1,  # s, time at which the comparison was complete; 0: not yet; -1: begun anew after it was wrong
     REJECTED=1)  # number of fixes in a row that were not compared
-#: prior variance of the share: a speed in another unit, or of the wrong sign
-SHARE_PRIOR = 1.0
-#: 1/m, growth of the variance of the share with the distance travelled: slip changes with the ground, by six percent in
-#: a kilometre
-SHARE_WALK = 4e-6
-#: standard deviation of a displacement within a second, as a share of it: bends between samples, a heading error of one
+#: prior variance of the relative error: a speed in another unit, or of the wrong sign
+PRIOR = 1.0
+#: 1/m, growth of the variance of the relative error with the distance travelled: slip changes with the ground, by six
+#: percent in a kilometre
+WALK = 4e-6
+#: standard deviation of a displacement within a second over its length: bends between samples, a heading error of one
 #: degree
-UNEVEN_SHARE = 0.02
+UNEVENNESS = 0.02
 #: a fix beyond this many standard deviations is not compared: one of 3000 by chance. After two in a row the fixes have
 #: jumped or the input has changed, and the estimate begins anew. Chosen, not measured
 COMPARED_GATE = 4.0
@@ -60,11 +60,11 @@ COMPARED_GATE = 4.0
 LONGEST_PAUSE = 1.5
 #: rad: with a larger standard deviation of the heading, the direction of a displacement of wheels is unknown
 LARGEST_HEADING_SIGMA = 0.3
-#: share that is not an error: tyres of another size, about as much as the filter itself can estimate
-TOLERATED_SHARE = 0.05
-#: standard deviations by which a share has to exceed the tolerated one to be significant
-SHARE_SIGMAS = 3.0
-#: standard deviation of the share below which the comparison is complete: a share of a third would be significant
+#: relative error that is none: tyres of another size, about as much as the filter itself can estimate
+TOLERATED_ERROR = 0.05
+#: standard deviations by which a relative error has to exceed the tolerated one to be significant
+ERROR_SIGMAS = 3.0
+#: standard deviation of the relative error below which the comparison is complete: one of a third would be significant
 COMPARED_SIGMA = 0.09
 
 
@@ -89,7 +89,7 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
     if before != 0.0 and since > LONGEST_PAUSE:  # too slow to be integrated: accepted without a comparison
         accept(mem, own)
     if yaw_variance > LARGEST_HEADING_SIGMA**2:
-        forget_share(mem, own)
+        forget_error(mem, own)
         interrupt(mem, own)
     if not 0.0 < since <= LONGEST_PAUSE:
         interrupt(mem, own)
@@ -106,15 +106,15 @@ def integrate(mem, r, own, time, v_n, v_e, density, yaw_variance, late, late_var
 def forget(mem, own):
     """Begin the comparison of an input anew after it has changed; the input counts as wrong until it is right again
     (`inputs._is_right_again`)."""
-    forget_share(mem, own)
+    forget_error(mem, own)
     interrupt(mem, own)
     mem[own + Integral.COMPARED] = -1.0
 
 
 @njit(_nrt=False)
-def forget_share(mem, own):
-    """Reset the share to its prior."""
-    mem[own + Integral.SHARE] = mem[own + Integral.SHARE + 1] = mem[own + Integral.REDUCED] = 0.0
+def forget_error(mem, own):
+    """Reset the relative error to its prior."""
+    mem[own + Integral.RELATIVE_ERROR] = mem[own + Integral.RELATIVE_ERROR + 1] = mem[own + Integral.REDUCED] = 0.0
 
 
 @njit(_nrt=False)
@@ -145,7 +145,7 @@ def _compare(mem, r, at, own, variance):
         north = (mem[at + Event.LATITUDE] - mem[own + Integral.START + 1]) / mem[r + Nav.NORTH_SCALE]
         east = (mem[at + Event.LONGITUDE] - mem[own + Integral.START + 2]) / mem[r + Nav.EAST_SCALE]
         moved = complex(mem[own + Integral.DISPLACEMENT] + last_n, mem[own + Integral.DISPLACEMENT + 1] + last_e)
-        drift = (mem[own + Integral.VARIANCE] + mem[own + Integral.LATE] + UNEVEN_SHARE**2 * abs(moved) ** 2 / interval
+        drift = (mem[own + Integral.VARIANCE] + mem[own + Integral.LATE] + UNEVENNESS**2 * abs(moved) ** 2 / interval
                  + 2.0 * mem[r + Nav.LASTING] * interval / LASTING_TIME)
         if not learn(mem, own, moved, complex(north, east), drift, noise):
             return
@@ -160,7 +160,7 @@ def _compare(mem, r, at, own, variance):
 
 @njit(_nrt=False)
 def _begin(mem, own, noise):
-    """Begin the distance of an input anew at a fix with the variance `noise`, m^2. The estimate of the share stays."""
+    """Begin the distance of an input anew at a fix with the variance `noise`, m^2. That of the relative error stays."""
     for i in range(2):
         mem[own + Integral.DISTANCE + i] = mem[own + Integral.COVARIANCE + i] = 0.0
     mem[own + Integral.DISTANCE_VARIANCE], mem[own + Integral.REJECTED] = noise, 0.0
@@ -173,34 +173,34 @@ def learn(mem, own, moved, fixes, drift, noise):
     own: position of the input's columns. drift: process noise of the distance, m^2. noise: variance of the fix, m^2.
     Returns whether the fix was compared, so that the next displacement begins at it.
     """
-    # displacement of the filter: that of the input contains noise, which would make the estimated share too small
+    # displacement of the filter: that of the input contains noise, which would make the relative error too small
     travelled = complex(mem[own + Integral.TRAVELLED], mem[own + Integral.TRAVELLED + 1])
-    share = complex(mem[own + Integral.SHARE], mem[own + Integral.SHARE + 1])
-    # of distance and share
+    relative = complex(mem[own + Integral.RELATIVE_ERROR], mem[own + Integral.RELATIVE_ERROR + 1])
+    # of distance and relative error
     covariance = complex(mem[own + Integral.COVARIANCE], mem[own + Integral.COVARIANCE + 1])
-    variance = min(SHARE_PRIOR - mem[own + Integral.REDUCED] + SHARE_WALK * abs(travelled), SHARE_PRIOR)
+    variance = min(PRIOR - mem[own + Integral.REDUCED] + WALK * abs(travelled), PRIOR)
     expected = (mem[own + Integral.DISTANCE_VARIANCE] + 2.0 * (covariance * travelled.conjugate()).real
                 + abs(travelled) ** 2 * variance + drift)
     covariance += travelled * variance
     # DISTANCE holds the distance estimated minus that measured at the previous fix
     distance = complex(mem[own + Integral.DISTANCE], mem[own + Integral.DISTANCE + 1])
-    innovation = moved - fixes - share * travelled - distance
+    innovation = moved - fixes - relative * travelled - distance
     if abs(innovation) ** 2 > COMPARED_GATE**2 * (expected + noise):
         mem[own + Integral.REJECTED] += 1.0
         if mem[own + Integral.REJECTED] < 2.0:
             return False
         # an input that was wrong stays wrong until it is right again
-        wrong = _is_significant(mem, own, abs(share), TOLERATED_SHARE)
+        wrong = _is_significant(mem, own, abs(relative), TOLERATED_ERROR)
         mem[own + Integral.COMPARED], mem[own + Integral.REDUCED] = -1.0 if wrong else 0.0, 0.0
         _begin(mem, own, noise)
         return True
     gain = expected / (expected + noise)
-    share += covariance.conjugate() * innovation / (expected + noise)
+    relative += covariance.conjugate() * innovation / (expected + noise)
     variance -= abs(covariance) ** 2 / (expected + noise)
     covariance *= 1.0 - gain
     left = (gain - 1.0) * innovation
-    mem[own + Integral.SHARE], mem[own + Integral.SHARE + 1] = share.real, share.imag
-    mem[own + Integral.REDUCED] = SHARE_PRIOR - variance
+    mem[own + Integral.RELATIVE_ERROR], mem[own + Integral.RELATIVE_ERROR + 1] = relative.real, relative.imag
+    mem[own + Integral.REDUCED] = PRIOR - variance
     mem[own + Integral.COVARIANCE], mem[own + Integral.COVARIANCE + 1] = covariance.real, covariance.imag
     mem[own + Integral.DISTANCE], mem[own + Integral.DISTANCE + 1] = left.real, left.imag
     mem[own + Integral.DISTANCE_VARIANCE] = gain * noise
@@ -219,29 +219,29 @@ def accept(mem, own):
 
 @njit(_nrt=False)
 def is_compared(mem, own):
-    """Whether the comparison of an input is complete: a wrong share would have been significant."""
+    """Whether the comparison of an input is complete: a wrong input would have been significant."""
     return mem[own + Integral.COMPARED] > 0.0
 
 
 @njit(_nrt=False)
-def squared_share(mem, own):
-    """Square of the share that an input has, beyond what the variance of its estimate explains."""
-    square = mem[own + Integral.SHARE] ** 2 + mem[own + Integral.SHARE + 1] ** 2
-    return max(square - 2.0 * (SHARE_PRIOR - mem[own + Integral.REDUCED]), 0.0)
+def squared_error(mem, own):
+    """Square of the relative error that an input has, beyond what the variance of its estimate explains."""
+    square = mem[own + Integral.RELATIVE_ERROR] ** 2 + mem[own + Integral.RELATIVE_ERROR + 1] ** 2
+    return max(square - 2.0 * (PRIOR - mem[own + Integral.REDUCED]), 0.0)
 
 
 @njit(_nrt=False)
 def differs(mem, own, kind, tolerated):
-    """Whether the displacements of an input of this kind differ significantly from those of the fixes. tolerated: share
-    by which they may differ; of a heading, rad."""
-    share = complex(mem[own + Integral.SHARE], mem[own + Integral.SHARE + 1])
+    """Whether the displacements of an input of this kind differ significantly from those of the fixes. tolerated:
+    relative error up to which they may differ; of a heading, rad."""
+    relative = complex(mem[own + Integral.RELATIVE_ERROR], mem[own + Integral.RELATIVE_ERROR + 1])
     if is_of_heading(kind):
-        off = abs(math.atan2(share.imag, 1.0 + share.real))
+        off = abs(math.atan2(relative.imag, 1.0 + relative.real))
     else:
-        off = abs(share) if kind == Kind.VELOCITY else abs(share.real)
+        off = abs(relative) if kind == Kind.VELOCITY else abs(relative.real)
     return _is_significant(mem, own, off, tolerated)
 
 
 @njit(_nrt=False)
 def _is_significant(mem, own, off, tolerated):
-    return off > tolerated + SHARE_SIGMAS * math.sqrt(SHARE_PRIOR - mem[own + Integral.REDUCED])
+    return off > tolerated + ERROR_SIGMAS * math.sqrt(PRIOR - mem[own + Integral.REDUCED])

@@ -35,9 +35,11 @@ Drift = ROW.place(
     WEIGHT=2,  # its weight,
     LEAST_SUM=2)  # and the sum with correlated innovations as errors of the receiver
 
-#: s from one estimate to the next that it is compared with: within less they hardly change. Chosen, not measured
+#: s from one estimate to the next that it is compared with: within less they hardly change. Chosen; a quarter and four
+#: times of it move little (docs/ablation.md)
 DRIFT_WINDOW = 30.0
-#: smallest share of the variance that measurements have to remove in a window for it to count. Chosen, not measured
+#: smallest share of the variance that measurements have to remove in a window for it to count. Chosen; a quarter and
+#: four times of it move little (docs/ablation.md)
 LEAST_REDUCTION = 0.1
 #: largest reduction of the variance over Q: a larger one is caused by the turn-on bias, not by drift
 LARGEST_REDUCTION = 2.0

@@ -28,7 +28,8 @@ ASSUMED_DENSITY = 0.01
 #: largest share of P that is attributed to this noise: in the steady state of a filter of position and velocity, half
 #: of the variance that a correction removes is caused by the noise since the previous one
 MOST_OF_P = 0.5
-#: smallest share of the expected variance of white innovations that is attributed to other causes. Chosen, not measured
+#: smallest share of the expected variance of white innovations that is attributed to other causes. Chosen; a quarter
+#: and four times of it move little (docs/ablation.md)
 LEAST_WHITE = 0.1
 
 

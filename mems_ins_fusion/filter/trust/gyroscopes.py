@@ -30,9 +30,11 @@ JUMP_SIGMAS = 10.0
 #: s, longest time between the begin of a standstill and its detection, during which a wrong gyroscope may have turned
 #: the heading
 LONGEST_UNSEEN = 5.0
-#: s, expected duration of a new error: faults of an IMU that are noticed last for this at least. Chosen, not measured
+#: s, expected duration of a new error: faults of an IMU that are noticed last for this at least. Chosen; a quarter and
+#: four times of it move little (docs/ablation.md)
 SHORTEST_ERROR = 10.0
-#: s after which an error counts as the sensor's own, as after a start with other biases. Chosen, not measured
+#: s after which an error counts as the sensor's own, as after a start with other biases. Chosen; a quarter and four
+#: times of it move little (docs/ablation.md)
 LONGEST_ERROR = 60.0
 
 

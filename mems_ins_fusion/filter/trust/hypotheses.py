@@ -58,7 +58,8 @@ Hypothesis = ROW.place(
 START_ANEW, START_WITHOUT_IMU = 1.0, 2.0
 #: 1/s, rate of receiver faults: one an hour (multipath, tunnels, wrong integer ambiguities, in drives in cities)
 FAULT_RATE = 1.0 / 3600.0
-#: 1/s, rate at which a receiver fault ends, and at which its offset changes: once in 20 s. Chosen, not measured
+#: 1/s, rate at which a receiver fault ends, and at which its offset changes: once in 20 s. Chosen; a quarter and four
+#: times of it move little (docs/ablation.md)
 FAULT_END_RATE = 1.0 / 20.0
 #: logarithm of the range of the error of an outlier, metres to kilometres: an error of 10 to 20 m is as likely as one
 #: of 100 to 200 m
@@ -66,7 +67,7 @@ LOG_RANGE = math.log(1000.0)
 #: m/s, standard deviation of the drift of wrong fixes: as of a receiver that loses its satellites one by one
 DRIFT_SIGMA = 3.0
 #: m/s, standard deviation of the velocity error after an IMU fault: 14 m/s with a heading error of half a radian.
-#: Chosen, not measured
+#: Chosen; a quarter and four times of it move little (docs/ablation.md)
 STRAYED_SIGMA = 7.0
 #: standard deviations from which on a drift of the fixes, an offset across the velocity, and a misfit of the drifting
 #: offset are significant: by chance in one case of 370
@@ -75,10 +76,10 @@ SIGNIFICANT_SIGMAS = 3.0
 #: follow the error of a wrong IMU, too
 RECEIVER_WALK = Walk(velocity=0.002, acceleration=0.002)
 #: 1/s, process noise of a constant offset, times the variance of a fix: multipath of a receiver of 1.5 m changes by 2 m
-#: in 10 s, a wrong integer ambiguity by nothing. Chosen, not measured
+#: in 10 s, a wrong integer ambiguity by nothing. Chosen; a quarter and four times of it move little (docs/ablation.md)
 STAYS_WALK = 0.2
-#: probability of a constant offset from which on a misfit of the drifting offset restarts that one. Chosen, not
-#: measured
+#: probability of a constant offset from which on a misfit of the drifting offset restarts that one. Chosen; a quarter
+#: and four times of it move little (docs/ablation.md)
 STAYS_CERTAIN = 0.9
 #: process noise of the error of a filter whose IMU is wrong: an acceleration of 1 m/s^2, as by a tilt of 6 deg, or as
 #: vehicles accelerate and turn (0.5 to 2 m/s^2 for 5 to 20 s), plus white noise of 0.1 m^2/s^3, as it is not constant

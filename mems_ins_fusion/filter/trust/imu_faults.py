@@ -80,7 +80,7 @@ def is_wrong(mem, r, time):
     return diverged != 0.0 and time - diverged < WRONG_TIME
 
 
-@njit(_nrt=False)
+@njit(_nrt=False, forceinline=True)
 def check(mem, samples, k, dt, speed, contradicted, before=Fault.NONE):
     """Return the `Fault` of sample k, and update the statistics of the samples in the head of `mem`.
 
@@ -159,7 +159,7 @@ def _is_spike(mem, time):
     return False
 
 
-@njit(_nrt=False)
+@njit(_nrt=False, forceinline=True)
 def _remember(mem, dt):
     """Update the running mean of the used samples, and the variance of the angular rate on the axis with the largest
     deviation."""

@@ -403,11 +403,11 @@ def _forget_error(mem, at, n, own, squared):
     of the error before, and so may be what seemed to be noise."""
     error = _constant_error(mem, at)
     if error >= 0:
-        mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error] += min(displacement.squared_share(mem, own), LARGEST_ERROR**2)
+        mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error] += min(displacement.squared_error(mem, own), LARGEST_ERROR**2)
     if error >= 0 or _time_offset(mem, at) >= 0:
         _raise_error(mem, at, n, squared)
         mem[own + Fit.ABOVE] = mem[own + Fit.BELOW] = 0.0
-        displacement.forget_share(mem, own)
+        displacement.forget_error(mem, own)
         reopen(mem, own + Noise.SCALE, 1.0)
 
 
@@ -488,9 +488,9 @@ def _note_wrong_displacement(mem, r, at, n):
     kind, own = int(mem[at + Event.KIND]), input_at(mem, r, at)
     if not has_displacement(kind):
         return
-    error, tolerated = _constant_error(mem, at), displacement.TOLERATED_SHARE
+    error, tolerated = _constant_error(mem, at), displacement.TOLERATED_ERROR
     if error >= 0:
-        tolerated = displacement.SHARE_SIGMAS * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
+        tolerated = displacement.ERROR_SIGMAS * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
         if mem[own + Fit.TIME] < 0.0:  # refused already: it may be one with another constant error
             tolerated = max(tolerated, LARGEST_ERROR)
     begun_anew = mem[own + Fit.TIME] >= 0.0 and mem[own + Integral.COMPARED] < 0.0

@@ -22,7 +22,8 @@ class _Line(NamedTuple):
 
 
 Line = _Line()
-#: smallest number of positions of a meaningful line: with fewer, any positions are near a line. Chosen, not measured
+#: smallest number of positions of a meaningful line: with fewer, any positions are near a line. Chosen; a quarter and
+#: four times of it move little (docs/ablation.md)
 FEWEST_ON_LINE = 5.0
 
 

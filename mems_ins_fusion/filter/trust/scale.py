@@ -56,26 +56,30 @@ PRIOR = 4.8
 #: the same after a change: a receiver that loses its base may scatter by a thousand times its claim. With 9, fixes that
 #: claim 0.1 m and scatter by 15 m remain outliers, and the filter gets 37 m off
 CHANGED_PRIOR = 16.0
-#: 1/s, rate of changes: one in twenty minutes, as in a drive through a city. Chosen, not measured
+#: 1/s, rate of changes: one in twenty minutes, as in a drive through a city. Chosen; a quarter and four times of it
+#: move little (docs/ablation.md)
 CHANGE_RATE = 1.0 / 1200.0
 #: probability of a change from which on a smaller scale is used; a larger one is used if it is the more probable one.
 #: A scale that is too small makes right measurements outliers, one that is too large costs a few of them. With 0.5
 #: white noise seemed to have become smaller 72 times in 100 hours (now 3 times), once for half a minute, in which a
 #: right IMU passed for a wrong one
 SURE_DECREASE = 0.95
-#: 1/s, growth of the variance in `learn`: by 1, which is a factor of e, in ten minutes. Chosen, not measured
+#: 1/s, growth of the variance in `learn`: by 1, which is a factor of e, in ten minutes. Chosen; a quarter and four
+#: times of it move little (docs/ablation.md)
 LOG_WALK = 1.0 / 600.0
 #: mean of the logarithm of the mean square of one, and of two, standard normal numbers
 LOG_MEAN = (-1.2704, -0.5772)
 #: and its variance
 LOG_VARIANCE = (4.9348, 1.6449)
-#: upper limit of an innovation in standard deviations: a larger one counts as this. Chosen, not measured
+#: upper limit of an innovation in standard deviations: a larger one counts as this. Chosen; a quarter and four times of
+#: it move little (docs/ablation.md)
 LARGEST_DEVIATION = 2.0
 #: smallest scale: a tenth of the claimed sigma, as claims are not more pessimistic than this
 SMALLEST_SCALE = 0.01
 #: largest scale: a thousand times the claimed sigma
 LARGEST_SCALE = 1e6
-#: share of outliers among the measurements of a sensor without a fault. Chosen, not measured
+#: share of outliers among the measurements of a sensor without a fault. Chosen; a quarter and four times of it move
+#: little (docs/ablation.md)
 OUTLIER_SHARE = 0.01
 #: density of outliers over the logarithm of the squared deviation: uniform over a range of 14, from metres to
 #: kilometres
@@ -95,19 +99,19 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     """
     known = mem[at + Scale.REDUCED] - LOG_WALK * max(time - mem[at + Scale.TIME], 0.0)
     variance, mem[at + Scale.TIME] = PRIOR - max(known, 0.0), time
-    share = math.exp(mem[at + Scale.LOG]) * part
-    expected = share + rest
-    share /= expected
+    slope = math.exp(mem[at + Scale.LOG]) * part
+    expected = slope + rest
+    slope /= expected
     noise = LOG_VARIANCE[dimensions - 1] / weight
     shown = max(squared, 1e-12 * expected) / math.exp(LOG_MEAN[dimensions - 1])
     innovation = math.log(shown / expected)
     if innovation > LARGEST_DEVIATION * math.sqrt(LOG_VARIANCE[dimensions - 1]):  # slope to the scale that explains it
-        share = innovation / (math.log((shown - rest) / part) - mem[at + Scale.LOG])
-    largest = LARGEST_DEVIATION * math.sqrt(share * share * variance + LOG_VARIANCE[dimensions - 1])
-    gain = share * variance / (share * share * variance + noise)
+        slope = innovation / (math.log((shown - rest) / part) - mem[at + Scale.LOG])
+    largest = LARGEST_DEVIATION * math.sqrt(slope * slope * variance + LOG_VARIANCE[dimensions - 1])
+    gain = slope * variance / (slope * slope * variance + noise)
     level = mem[at + Scale.LOG] + gain * max(-largest, min(innovation, largest))
     mem[at + Scale.LOG] = max(math.log(SMALLEST_SCALE), min(level, math.log(LARGEST_SCALE)))
-    mem[at + Scale.REDUCED] = PRIOR - variance + gain * share * variance
+    mem[at + Scale.REDUCED] = PRIOR - variance + gain * slope * variance
 
 
 @njit(_nrt=False)
@@ -130,16 +134,16 @@ def learn_changes(mem, at, time, squared, part, rest, dimensions, weight=1.0):
                                                           weight)
     new, new_variance, becomes, fits_new = _learned(0.0, CHANGED_PRIOR, squared, part, rest, dimensions, weight)
     same, changed, becomes = never * same, earlier * changed, lately * becomes
-    share = changed + becomes
-    if share > 0.0:  # mean and variance of a mixture of two normal distributions
-        part_new, difference = becomes / share, new - other
+    other_probability = changed + becomes
+    if other_probability > 0.0:  # mean and variance of a mixture of two normal distributions
+        part_new, difference = becomes / other_probability, new - other
         other_variance += part_new * (new_variance - other_variance + (1.0 - part_new) * difference * difference)
         other += part_new * difference
-    share /= share + same
-    if share > (0.5 if other > level else SURE_DECREASE):
-        level, variance, share = other, other_variance, 0.0
+    other_probability /= other_probability + same
+    if other_probability > (0.5 if other > level else SURE_DECREASE):
+        level, variance, other_probability = other, other_variance, 0.0
     level = max(math.log(SMALLEST_SCALE), min(level, math.log(LARGEST_SCALE)))
-    mem[at + Scale.TIME], mem[at + Scale.CHANGED] = time, share
+    mem[at + Scale.TIME], mem[at + Scale.CHANGED] = time, other_probability
     mem[at + Scale.LOG], mem[at + Scale.REDUCED] = level, PRIOR - variance
     mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_REDUCED] = other, PRIOR - other_variance
     return never * fits + earlier * fits_other + lately * fits_new > OUTLIER_DENSITY
@@ -156,7 +160,8 @@ def _learned(level, variance, squared, part, rest, dimensions, weight):
         node = sigma * NODES[i]
         likelihood = _times_square(shown / (math.exp(level + node) * part + rest), dimensions)
         allowed += WEIGHTS[i] * likelihood
-        probability = WEIGHTS[i] * (likelihood + OUTLIER_DENSITY) ** weight
+        density = likelihood + OUTLIER_DENSITY
+        probability = WEIGHTS[i] * (density if weight == 1.0 else density**weight)
         total += probability
         mean += probability * node
         square += probability * node * node

@@ -44,7 +44,8 @@ MOTION_SIGMAS = 3.0
 SLOWEST_SPEED = 0.1
 #: rad/s, the same of the turn rate of an odometry
 SLOWEST_TURN = 0.02
-#: s for which a speed, or a zero-velocity update, counts as the present one. Chosen, not measured
+#: s for which a speed, or a zero-velocity update, counts as the present one. Chosen; a quarter and four times of it
+#: move little (docs/ablation.md)
 LONGEST_VALID = 1.0
 #: standard deviations of the velocity by which the certain speed is below the estimated one: a vehicle is slower than
 #: this by chance in one of forty cases
@@ -73,7 +74,8 @@ CREEPING_TIME = 2.0 * STILL_WINDOW
 SEPARATION = 2.0
 #: s, time constant with which the level of motion rises again: roads and loads change within minutes
 MOTION_MEMORY = 600.0
-#: s, time constant of the mean of the level at rest. Chosen, not measured
+#: s, time constant of the mean of the level at rest. Chosen; a quarter and four times of it move little
+#: (docs/ablation.md)
 REST_TIME = 5.0
 #: how many times a vehicle stands for each time it creeps at a constant speed, as quiet as at rest: 321 to 15 times in
 #: 34 simulated drives of 12 min (`vehicle.simulated`), 30 to 2 times in Kingston
@@ -161,7 +163,7 @@ def _density(deviation, variance):
     return math.exp(-0.5 * deviation * deviation / variance) / math.sqrt(2.0 * math.pi * variance)
 
 
-@njit(_nrt=False)
+@njit(_nrt=False, forceinline=True)
 def is_still(mem, sample, dt, speed, sigma, without_fixes):
     """1 if the vehicle is as quiet as at rest at the sample at `sample`, dt s after the previous one, else 0. Updates
     `Still`.

@@ -23,7 +23,8 @@ UsualSpeed = ROW.place('UsualSpeed', SCALE=Scale.SIZE)
 #: and a car at 50 m/s
 ASSUMED_VARIANCE = 5.0**2
 #: s, correlation time of the velocity: in this time a vehicle turns, stops or speeds up. One velocity in this time is
-#: learned from, and one zero velocity in this time is applied. Chosen, not measured
+#: learned from, and one zero velocity in this time is applied. Chosen; a quarter and four times of it move little
+#: (docs/ablation.md)
 CORRELATION = 20.0
 #: s without a fix after which it is applied, and a standstill at any estimated speed believed: longer than the interval
 #: of slow receivers

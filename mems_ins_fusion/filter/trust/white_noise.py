@@ -27,7 +27,8 @@ Shown = SAMPLE.place(
 
 #: s, time constant of the mean of the squared differences: the noise changes with the road and the engine
 MEAN_TIME = 3.0
-#: s, time constant of the long-term mean of the noise of f_y. Chosen, not measured
+#: s, time constant of the long-term mean of the noise of f_y. Chosen; a quarter and four times of it move little
+#: (docs/ablation.md)
 LONG_MEAN_TIME = 60.0
 #: s. If the noise of f_y changes the velocity within this time by more than the sigma of the lateral constraint, the
 #: constraint takes noise for turns (`hides_turns`). And the time over which noise adds up to an error of direction or
@@ -36,15 +37,17 @@ COMPARED_OVER = 1.0
 #: order n of the difference: of a motion at a quarter of the sampling rate, 2^n / binomial(2 n, n) of the variance
 #: counts as noise
 ORDER = 6
-#: ratio of the measured to the configured noise density of a gyroscope above which it is reported. Chosen, not measured
+#: ratio of the measured to the configured noise density of a gyroscope above which it is reported. Chosen; a quarter
+#: and four times of it move little (docs/ablation.md)
 NOTEWORTHY = 5.0
-#: largest ratio of two successive intervals of evenly spaced samples; others are not evaluated. Chosen, not measured
+#: largest ratio of two successive intervals of evenly spaced samples; others are not evaluated. Chosen; a quarter and
+#: four times of it move little (docs/ablation.md)
 EVEN_RATIO = 1.5
 #: weights of the samples in the difference, such that its variance is that of one sample
 _WEIGHTS = tuple((-1) ** j * math.comb(ORDER, j) / math.sqrt(math.comb(2 * ORDER, ORDER)) for j in range(ORDER + 1))
 
 
-@njit(_nrt=False)
+@njit(_nrt=False, forceinline=True)
 def show_noise(mem, k, dt):
     """Write the measured noise density squared of each axis to sample k, dt s after the previous one. The values of the
     previous sample are kept if one of the samples for the difference is missing or faulty."""
