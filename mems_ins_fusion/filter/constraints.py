@@ -186,10 +186,10 @@ def _constrain_motion(mem, r, at, n, h, dimensions, since, measured):
 
     since: s since the previous application. measured: whether the IMU sample is valid; the turn rate of one that is
     bridged is assumed, and shows no slide. A component is tested with the variance of its event, at any rate of the
-    IMU; it is applied with the variance for its interval (`_variance_factor`), and so that the variance of what it measures does
-    not become smaller than the second-order term that the linearisation omits. That term is the same at each
-    application while the errors are: as noise it would be averaged, and the filter would take the difference of
-    successive applications, which comes from its own corrections of the speed, for knowledge of speed and direction.
+    IMU, and applied with the variance for its interval (`_variance_factor`). The variance of what it measures does not
+    become smaller than the second-order term that the linearisation omits. That term is the same at each application
+    while the errors are: as noise it would be averaged, and the filter would take the difference of successive
+    applications, which comes from its own corrections of the speed, for knowledge of speed and direction.
     """
     for k in range(dimensions):
         z, variance = mem[at + Event.Z_N + k], mem[at + (Event.R_NN if k == 0 else Event.R_EE)]
