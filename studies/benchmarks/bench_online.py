@@ -9,9 +9,14 @@ other work on the machine disturbs all three, and the ratios to `off` of the sam
 All numbers are medians of the repeats, but the last three.
 
 Latency: from before an Imu is published to after its Odometry has come back to this process (50 and 99 %, ms), by way
-of two processes and DDS. CPU: of the node and of its diagnosis, as a part of a core, while samples come in their own
-time. Most: the largest part of a core that the diagnosis had in any WINDOW s, its start included; `diagnosis.share` is
-0.1. Load: smallest and largest of the machine before the runs.
+of two processes and DDS. On a busy machine most of it is waiting for a core that other processes have, so there are two
+more, which other work does not change but by the caches: *on a free core* is the latency less the time for which the
+threads that a sample goes by were ready to run and had no core (the second number of /proc/PID/task/TID/schedstat), and
+*work* the processor time (the first number) of those of the node from one sample to the next.
+
+CPU: of the node and of its diagnosis, as a part of a core, while samples come in their own time. Most: the largest part
+of a core that the diagnosis had in any WINDOW s, its start included; `diagnosis.share` is 0.1. Load: smallest and
+largest of the machine before the runs.
 """
 from __future__ import annotations
 
@@ -25,6 +30,7 @@ import sys
 import tempfile
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -45,10 +51,43 @@ PRELUDE_RATE = 100.0
 #: s, by which fixes are late, which an earlier drive has found
 OFFSET = 0.05
 MODES = ('off', 'report', 'apply')
+#: %, of the samples, within the numbers of the table
+SHARES = (50, 99)
 #: s for which a node may be behind
 PATIENCE = 60.0
+#: names of the threads of DDS that messages from other processes go by
+RECEIVING = ('dds.shm.7', 'dds.udp.7')
 #: s over which the largest part of a core is taken: many periods of `diagnosis.worker`, few ticks of the CPU time
 WINDOW = 5.0
+
+
+class Threads:
+    """Processor time of some threads, and the time for which they were ready to run and had no core."""
+
+    def __init__(self, pid: int, *others: int):
+        """The first thread of a process, those that receive messages, and others by their number."""
+        own = [path for path in Path(f'/proc/{pid}/task').iterdir() if int(path.name) in (pid, *others)
+               or (path / 'comm').read_text().startswith(RECEIVING)]
+        self._files = [os.open(path / 'schedstat', os.O_RDONLY) for path in own]
+
+    def times(self) -> tuple[int, int]:
+        """On a core and waiting for one, ns, since they began."""
+        rows = [os.pread(file, 100, 0).split() for file in self._files]
+        return sum(int(row[0]) for row in rows), sum(int(row[1]) for row in rows)
+
+    def close(self) -> None:
+        for file in self._files:
+            os.close(file)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A sample going out, or its odometry coming back. clock: s. work: processor time of the node's threads, ns.
+    waited: for a core, of the node's threads and of those that receive here, ns."""
+
+    clock: float
+    work: int
+    waited: int
 
 
 class Publisher:
@@ -60,16 +99,28 @@ class Publisher:
         self.fix = self.node.create_publisher(NavSatFix, '/gps/fix', QoSProfile(depth=10))
         self.node.create_subscription(Odometry, '/odometry/fused', self._on_odometry, QoSProfile(depth=1000))
         self.recording, self.sent, self.back = recording, {}, {}
+        self._threads: list[Threads] = []
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        threading.Thread(target=self._executor.spin, daemon=True).start()
+        self._spinning = threading.Thread(target=self._executor.spin, daemon=True)
+        self._spinning.start()
+
+    def look_at(self, pid: int) -> None:
+        """Note the times of the threads of the node, a process, and of those that receive here."""
+        self._threads = [Threads(pid), Threads(os.getpid(), self._spinning.native_id)]
+
+    def _now(self) -> Moment:
+        times = [threads.times() for threads in self._threads] or [(0, 0)]
+        return Moment(time.perf_counter(), times[0][0], sum(waited for _, waited in times))
 
     def close(self) -> None:
+        for threads in self._threads:
+            threads.close()
         self._executor.shutdown()
         self.node.destroy_node()
 
     def _on_odometry(self, message):
-        self.back[message.header.stamp.sec, message.header.stamp.nanosec] = time.perf_counter()
+        self.back[message.header.stamp.sec, message.header.stamp.nanosec] = self._now()
 
     def publish(self, begin: float, end: float, faster: float, rate: float) -> None:
         """From `begin` to `end`, s after the first sample, so many times as fast as it was, at `rate` Hz."""
@@ -85,9 +136,8 @@ class Publisher:
                 self.fix.publish(_fix(gnss, fix))
                 fix += 1
             message = _imu(imu, i)
-            self.sent[message.header.stamp.sec, message.header.stamp.nanosec] = time.perf_counter()
+            self.sent[message.header.stamp.sec, message.header.stamp.nanosec] = self._now()
             self.imu.publish(message)
-
 
     def wait(self) -> None:
         """Until what was published has come back: on a slow computer the node is behind."""
@@ -189,6 +239,7 @@ def measured(recording, mode: str, seconds: float, rate: float, folder: Path) ->
         publisher.publish(0.0, PRELUDE, FASTER, PRELUDE_RATE)
         publisher.wait()
         publisher.sent.clear()
+        publisher.look_at(node.pid)
         diagnosis = _descendants(node.pid)
         before = _cpu([node.pid]), _cpu(diagnosis)
         publisher.publish(PRELUDE, PRELUDE + seconds, 1.0, rate)
@@ -199,25 +250,34 @@ def measured(recording, mode: str, seconds: float, rate: float, folder: Path) ->
         node.send_signal(signal.SIGINT)
         node.wait(30.0)
         publisher.close()
-    late = np.array([publisher.back[key] - sent for key, sent in publisher.sent.items() if key in publisher.back])
-    if not len(late):
+    pairs = [(sent, publisher.back[key]) for key, sent in publisher.sent.items() if key in publisher.back]
+    if not pairs:
         raise SystemExit('no odometry has come back: ' + (folder / 'log').read_text())
-    half, nearly_all = 1e3 * np.percentile(late, [50, 99])
-    return {'half': half, 'nearly all': nearly_all, 'node': node_cpu / seconds, 'diagnosis': diagnosis_cpu / seconds,
+    late = np.array([back.clock - sent.clock for sent, back in pairs])
+    waited = 1e-9 * np.array([back.waited - sent.waited for sent, back in pairs])
+    work = 1e-9 * np.diff([sent.work for sent in publisher.sent.values()])
+    shares = {name: 1e3 * np.percentile(values, SHARES)
+              for name, values in (('latency', late), ('free', late - waited), ('work', work))}
+    return {**{f'{name} {share}': value for name, values in shares.items() for share, value in zip(SHARES, values)},
+            'node': node_cpu / seconds, 'diagnosis': diagnosis_cpu / seconds,
             'most': most, 'lost': len(publisher.sent) - len(late), 'load': load}
 
 
 def row(rate: float, mode: str, runs: list[dict[str, float]], off: list[dict[str, float]]) -> str:
-    """A line of the table: `runs` of a mode beside those with `off` of the same repeats."""
+    """A line of the table: `runs` of a mode; times in ms, with the ratios to those with `off` of the same repeats."""
     def middle(name: str) -> float:
         return statistics.median(run[name] for run in runs)
 
-    def times(name: str) -> str:
+    def compared(name: str) -> str:
+        if runs is off:
+            return f'{middle(name):.2f}'
         ratios = [run[name] / other[name] for run, other in zip(runs, off)]
-        return f'{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})'
+        return f'{middle(name):.2f}: {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})'
+
     loads = [run['load'] for run in runs]
-    cells = (f'{rate:g} Hz', mode, f"{middle('half'):.2f}", times('half'), f"{middle('nearly all'):.1f}",
-             times('nearly all'), f"{100 * middle('node'):.1f} %", times('node'), f"{100 * middle('diagnosis'):.1f} %",
+    cells = (f'{rate:g} Hz', mode, *(f"{middle(f'latency {share}'):.1f}" for share in SHARES),
+             *(compared(f'{name} {share}') for name in ('free', 'work') for share in SHARES),
+             f"{100 * middle('node'):.1f} %", f"{100 * middle('diagnosis'):.1f} %",
              f"{100 * max(run['most'] for run in runs):.1f} %", f"{sum(run['lost'] for run in runs):.0f}",
              f'{min(loads):.1f} to {max(loads):.1f}')
     return f"| {' | '.join(cells)} |"
@@ -233,8 +293,8 @@ def main() -> None:
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', '101')
     rclpy.init()
-    lines = ['| samples | `diagnosis.online` | latency 50 %, ms | times `off` | 99 %, ms | times `off` | node '
-             '| times `off` | diagnosis | most | lost | load |', f'|{"---|" * 12}']
+    lines = ['| samples | `diagnosis.online` | latency, 50 % | 99 % | on a free core, 50 % | 99 % | work, 50 % | 99 % '
+             '| node | diagnosis | most | lost | load |', f'|{"---|" * 13}']
     for rate in options.rates:
         sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
         recording = simulate_recording(simulate_drive(PRELUDE + options.seconds + 2.0, 1, rate=rate, standstill=10.0),
