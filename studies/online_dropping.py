@@ -46,6 +46,7 @@ class Both:
     """Both tests in the place of the bets of a parallel filter. Never drops. evidence: s, of bets, of Page's test."""
 
     seconds, pro = 0.0, -math.inf  # of the newest sample
+    usual_distance = 0.0  # so that no filter begins at a jump of the fixes: these two tests alone are compared
 
     def __init__(self):
         self._bets, self._page, self._usual, self._count = Bets(), 0.0, 0.0, 0
