@@ -214,10 +214,12 @@ class ParallelFilter:
             self.since = now
             return
         means = [tuple(np.mean([misfits[number] for number in both], axis=0).tolist()) for misfits in (present, own)]
-        if self.is_branch and not self._has_bet and _meets(*means):
-            self._bets.pro = math.log(SHOWN_BETTER)
+        if self.is_branch and not self._has_bet:
+            self._bets.pro = math.log(SHOWN_BETTER) if _meets(*means) else 0.0
+            self._bets.see(*means)
+        else:
+            self._bets.take(*means)
         self._has_bet = True
-        self._bets.take(*means)
         if self._bets.pro <= 0.0:
             self._bets.pro, self.since = 0.0, now
         self._shares = self.share(now), max(1.0 - SHOWN_BETTER * math.exp(-self._bets.pro), 0.0)
