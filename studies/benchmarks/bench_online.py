@@ -6,13 +6,13 @@ A simulated drive is published to `fusion_node` in its own time, fixes once a se
 of the time, so that an analysis is running. With `diagnosis.online` off, `report`, and `apply` with a time offset of an
 earlier drive applied, so that a filter without it runs in parallel. These three run one after the other, repeatedly:
 other work on the machine disturbs all three, and the ratios to `off` of the same repeat say what the diagnosis costs.
-All numbers are medians of the repeats, but the last three.
+All numbers are medians of the repeats, but the last three; after a colon the ratio to `off` (smallest to largest).
 
 Latency: from before an Imu is published to after its Odometry has come back to this process (50 and 99 %, ms), by way
-of two processes and DDS. On a busy machine most of it is waiting for a core that other processes have, so there are two
-more, which other work does not change but by the caches: *on a free core* is the latency less the time for which the
-threads that a sample goes by were ready to run and had no core (the second number of /proc/PID/task/TID/schedstat), and
-*work* the processor time (the first number) of those of the node from one sample to the next.
+of two processes and DDS. On a busy machine most of it is waiting for a core that other processes have. So *work* is
+told as well: processor time of the thread that fuses, from the end of one sample's callback to the end of the next
+(`time.thread_time_ns`, in the node). That is the latency that the node adds on a machine with a free core, and what
+else runs does not change it but by the caches.
 
 CPU: of the node and of its diagnosis, as a part of a core, while samples come in their own time. Most: the largest part
 of a core that the diagnosis had in any WINDOW s, its start included; `diagnosis.share` is 0.1. Load: smallest and
@@ -30,7 +30,6 @@ import sys
 import tempfile
 import threading
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +39,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, NavSatFix
 
+from mems_ins_fusion.nodes import fusion_node
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -53,41 +53,26 @@ OFFSET = 0.05
 MODES = ('off', 'report', 'apply')
 #: %, of the samples, within the numbers of the table
 SHARES = (50, 99)
+#: the first argument of a process that is a node
+TIMED = '--timed-node'
 #: s for which a node may be behind
 PATIENCE = 60.0
-#: names of the threads of DDS that messages from other processes go by
-RECEIVING = ('dds.shm.7', 'dds.udp.7')
 #: s over which the largest part of a core is taken: many periods of `diagnosis.worker`, few ticks of the CPU time
 WINDOW = 5.0
 
 
-class Threads:
-    """Processor time of some threads, and the time for which they were ready to run and had no core."""
+def timed_node(file: str, arguments: list[str]) -> int:
+    """The node, which writes the stamp of each sample, ns, and the work until its callback ends, ns, to `file`."""
+    rows, on_imu = [], fusion_node.FusionNode._on_imu
 
-    def __init__(self, pid: int, *others: int):
-        """The first thread of a process, those that receive messages, and others by their number."""
-        own = [path for path in Path(f'/proc/{pid}/task').iterdir() if int(path.name) in (pid, *others)
-               or (path / 'comm').read_text().startswith(RECEIVING)]
-        self._files = [os.open(path / 'schedstat', os.O_RDONLY) for path in own]
-
-    def times(self) -> tuple[int, int]:
-        """On a core and waiting for one, ns, since they began."""
-        rows = [os.pread(file, 100, 0).split() for file in self._files]
-        return sum(int(row[0]) for row in rows), sum(int(row[1]) for row in rows)
-
-    def close(self) -> None:
-        for file in self._files:
-            os.close(file)
-
-
-@dataclass(frozen=True)
-class Moment:
-    """A sample going out, or its odometry coming back. clock: s. work: processor time of the node's threads, ns.
-    waited: for a core, of the node's threads and of those that receive here, ns."""
-
-    clock: float
-    work: int
-    waited: int
+    def timed(self, message, info):
+        on_imu(self, message, info)
+        stamp = message.header.stamp
+        rows.append((stamp.sec * 10**9 + stamp.nanosec, time.thread_time_ns()))
+    fusion_node.FusionNode._on_imu = timed
+    status = fusion_node.main(arguments)
+    np.save(file, np.array(rows, dtype=np.int64))
+    return status
 
 
 class Publisher:
@@ -99,28 +84,16 @@ class Publisher:
         self.fix = self.node.create_publisher(NavSatFix, '/gps/fix', QoSProfile(depth=10))
         self.node.create_subscription(Odometry, '/odometry/fused', self._on_odometry, QoSProfile(depth=1000))
         self.recording, self.sent, self.back = recording, {}, {}
-        self._threads: list[Threads] = []
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self._spinning = threading.Thread(target=self._executor.spin, daemon=True)
-        self._spinning.start()
-
-    def look_at(self, pid: int) -> None:
-        """Note the times of the threads of the node, a process, and of those that receive here."""
-        self._threads = [Threads(pid), Threads(os.getpid(), self._spinning.native_id)]
-
-    def _now(self) -> Moment:
-        times = [threads.times() for threads in self._threads] or [(0, 0)]
-        return Moment(time.perf_counter(), times[0][0], sum(waited for _, waited in times))
+        threading.Thread(target=self._executor.spin, daemon=True).start()
 
     def close(self) -> None:
-        for threads in self._threads:
-            threads.close()
         self._executor.shutdown()
         self.node.destroy_node()
 
     def _on_odometry(self, message):
-        self.back[message.header.stamp.sec, message.header.stamp.nanosec] = self._now()
+        self.back[message.header.stamp.sec, message.header.stamp.nanosec] = time.perf_counter()
 
     def publish(self, begin: float, end: float, faster: float, rate: float) -> None:
         """From `begin` to `end`, s after the first sample, so many times as fast as it was, at `rate` Hz."""
@@ -136,7 +109,7 @@ class Publisher:
                 self.fix.publish(_fix(gnss, fix))
                 fix += 1
             message = _imu(imu, i)
-            self.sent[message.header.stamp.sec, message.header.stamp.nanosec] = self._now()
+            self.sent[message.header.stamp.sec, message.header.stamp.nanosec] = time.perf_counter()
             self.imu.publish(message)
 
     def wait(self) -> None:
@@ -228,7 +201,8 @@ def measured(recording, mode: str, seconds: float, rate: float, folder: Path) ->
     state.write_text(json.dumps({'version': 2, 'filter': place, 'calibration': [kept]}))
     load = os.getloadavg()[0]
     log = (folder / 'log').open('w')
-    node = subprocess.Popen([sys.executable, '-m', 'mems_ins_fusion', 'fusion_node', '--ros-args', '-p',
+    times = folder / 'times.npy'
+    node = subprocess.Popen([sys.executable, __file__, TIMED, str(times), '--ros-args', '-p',
                              f'diagnosis.online:={mode}', '-p', f'state_file:={state}'], stdout=log, stderr=log)
     publisher, share = Publisher(recording), Share(node.pid)
     try:
@@ -239,7 +213,6 @@ def measured(recording, mode: str, seconds: float, rate: float, folder: Path) ->
         publisher.publish(0.0, PRELUDE, FASTER, PRELUDE_RATE)
         publisher.wait()
         publisher.sent.clear()
-        publisher.look_at(node.pid)
         diagnosis = _descendants(node.pid)
         before = _cpu([node.pid]), _cpu(diagnosis)
         publisher.publish(PRELUDE, PRELUDE + seconds, 1.0, rate)
@@ -250,33 +223,31 @@ def measured(recording, mode: str, seconds: float, rate: float, folder: Path) ->
         node.send_signal(signal.SIGINT)
         node.wait(30.0)
         publisher.close()
-    pairs = [(sent, publisher.back[key]) for key, sent in publisher.sent.items() if key in publisher.back]
-    if not pairs:
+    late = np.array([publisher.back[key] - sent for key, sent in publisher.sent.items() if key in publisher.back])
+    if not len(late):
         raise SystemExit('no odometry has come back: ' + (folder / 'log').read_text())
-    late = np.array([back.clock - sent.clock for sent, back in pairs])
-    waited = 1e-9 * np.array([back.waited - sent.waited for sent, back in pairs])
-    work = 1e-9 * np.diff([sent.work for sent in publisher.sent.values()])
-    shares = {name: 1e3 * np.percentile(values, SHARES)
-              for name, values in (('latency', late), ('free', late - waited), ('work', work))}
-    return {**{f'{name} {share}': value for name, values in shares.items() for share, value in zip(SHARES, values)},
-            'node': node_cpu / seconds, 'diagnosis': diagnosis_cpu / seconds,
-            'most': most, 'lost': len(publisher.sent) - len(late), 'load': load}
+    stamps, work = np.load(times).T
+    work = np.diff(work)[stamps[1:] >= recording.imu.stamp[0] + round(PRELUDE * 1e9)]
+    return {**{f'latency {share}': 1e3 * np.percentile(late, share) for share in SHARES},
+            **{f'work {share}': 1e-3 * np.percentile(work, share) for share in SHARES},
+            'node': node_cpu / seconds, 'diagnosis': diagnosis_cpu / seconds, 'most': most,
+            'lost': len(publisher.sent) - len(late), 'load': load}
 
 
 def row(rate: float, mode: str, runs: list[dict[str, float]], off: list[dict[str, float]]) -> str:
-    """A line of the table: `runs` of a mode; times in ms, with the ratios to those with `off` of the same repeats."""
+    """A line of the table: `runs` of a mode beside those with `off` of the same repeats."""
     def middle(name: str) -> float:
         return statistics.median(run[name] for run in runs)
 
-    def compared(name: str) -> str:
+    def compared(name: str, digits: int) -> str:
         if runs is off:
-            return f'{middle(name):.2f}'
+            return f'{middle(name):.{digits}f}'
         ratios = [run[name] / other[name] for run, other in zip(runs, off)]
-        return f'{middle(name):.2f}: {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})'
+        return f'{middle(name):.{digits}f}: {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})'
 
     loads = [run['load'] for run in runs]
-    cells = (f'{rate:g} Hz', mode, *(f"{middle(f'latency {share}'):.1f}" for share in SHARES),
-             *(compared(f'{name} {share}') for name in ('free', 'work') for share in SHARES),
+    cells = (f'{rate:g} Hz', mode, *(compared(f'work {share}', 0) for share in SHARES),
+             *(compared(f'latency {share}', 1) for share in SHARES),
              f"{100 * middle('node'):.1f} %", f"{100 * middle('diagnosis'):.1f} %",
              f"{100 * max(run['most'] for run in runs):.1f} %", f"{sum(run['lost'] for run in runs):.0f}",
              f'{min(loads):.1f} to {max(loads):.1f}')
@@ -293,8 +264,8 @@ def main() -> None:
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', '101')
     rclpy.init()
-    lines = ['| samples | `diagnosis.online` | latency, 50 % | 99 % | on a free core, 50 % | 99 % | work, 50 % | 99 % '
-             '| node | diagnosis | most | lost | load |', f'|{"---|" * 13}']
+    lines = ['| samples | `diagnosis.online` | work 50 %, us | 99 % | latency 50 %, ms | 99 % | node | diagnosis '
+             '| most | lost | load |', f'|{"---|" * 11}']
     for rate in options.rates:
         sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
         recording = simulate_recording(simulate_drive(PRELUDE + options.seconds + 2.0, 1, rate=rate, standstill=10.0),
@@ -312,4 +283,6 @@ def main() -> None:
 
 
 if __name__ == '__main__':
+    if sys.argv[1:2] == [TIMED]:
+        sys.exit(timed_node(sys.argv[2], sys.argv[3:]))
     main()
