@@ -63,16 +63,21 @@ WINDOW = 5.0
 
 def timed_node(file: str, arguments: list[str]) -> int:
     """The node, which writes the stamp of each sample, ns, and the work until its callback ends, ns, to `file`."""
-    rows, on_imu = [], fusion_node.FusionNode._on_imu
+    node = fusion_node.FusionNode
+    rows, on_imu, serve = [], node._on_imu, node.serve
 
     def timed(self, message, info):
         on_imu(self, message, info)
         stamp = message.header.stamp
         rows.append((stamp.sec * 10**9 + stamp.nanosec, time.thread_time_ns()))
-    fusion_node.FusionNode._on_imu = timed
-    status = fusion_node.main(arguments)
-    np.save(file, np.array(rows, dtype=np.int64))
-    return status
+
+    def served(self, stop):
+        try:
+            return serve(self, stop)
+        finally:  # nothing runs after the node has ended
+            np.save(file, np.array(rows, dtype=np.int64))
+    node._on_imu, node.serve = timed, served
+    return fusion_node.main(arguments)
 
 
 class Publisher:
