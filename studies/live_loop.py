@@ -1,6 +1,7 @@
 """A recording played to the live node over real ROS 2, what the node says written down, and the figure of it.
 
     python studies/live_loop.py record FOLDER BAG [--rate 4] [--kill 100 200 ...] [-p NAME:=VALUE ...]
+                                                  [--kills 5 --kept 1 --life 120 --seed 0]
     python studies/live_loop.py replay FOLDER BAG [-p NAME:=VALUE ...]
     python studies/live_loop.py figure PNG FOLDER [FOLDER ...]
 
@@ -8,7 +9,11 @@ record: `fusion_node` and `play` as processes of their own, with a state file in
 listens: odometry with the latency of each (from the Imu message to its Odometry, as they come here), ~/calibration,
 ~/horizon, /diagnostics, the log, and the state file ten times a second: a file that is not whole, or has anything
 beside it at rest, is told. --kill: after so many seconds of the recording the node is killed with SIGKILL and started
-again. -p: parameters of the node.
+again. --kills: so often at random moments while the file keeps --kept values or more, each up to --life s of the
+recording after the node was ready and they were there. -p: parameters of the node.
+
+Of each kill: what the file kept at that moment, whether it was whole with nothing beside it, and what the next node
+first said of each of these values in ~/calibration (`SUSPECT, applied` where it begins with it).
 
 replay: the same recording and parameters without ROS (`diagnosis.applying.live_output`), with the same record.
 
@@ -126,17 +131,67 @@ def watch_file(path: Path, listener: Listener, over: threading.Event) -> None:
             text = path.read_text()
         except FileNotFoundError:
             continue
-        try:
-            kept = {one['name']: one['set'] for one in json.loads(text)['calibration']}
-        except (ValueError, KeyError) as error:
-            listener.note('state file', message=f'not whole: {error}')
+        if not is_whole(text):
+            listener.note('state file', message=f'not whole: {text[:100]}')
             continue
+        kept = kept_in(path)
         if kept != before:
             listener.note('state file', message=json.dumps(kept))
         before = kept
 
 
-def record(folder: Path, bag: str, rate: float, kills: list[float], assignments: list[str]) -> None:
+class RandomKills:
+    """So many moments at which to kill a node whose state file has kept `kept` values or more, for up to `life` s."""
+
+    def __init__(self, count: int, kept: int, life: float, seed: int):
+        self._left, self._kept, self._life = count, kept, life
+        self._random, self._at = np.random.default_rng(seed), None
+
+    def is_now(self, newest: int, state: Path) -> bool:
+        """Whether to kill as the sample of stamp `newest` (ns) is played."""
+        if not self._left:
+            return False
+        if self._at is None and len(kept_in(state)) >= self._kept:
+            self._at = newest + self._random.uniform(0.0, self._life) * SECOND
+        if self._at is None or newest < self._at:
+            return False
+        self._left, self._at = self._left - 1, None
+        return True
+
+
+def is_whole(text: str) -> bool:
+    """Whether a state file has all that one has."""
+    try:
+        return 'calibration' in json.loads(text)
+    except ValueError:
+        return False
+
+
+def kept_in(state: Path) -> dict[str, dict]:
+    """What the state file keeps: parameters by finding; nothing where there is none, or it is not whole."""
+    try:
+        return {one['name']: one['set'] for one in json.loads(state.read_text())['calibration']}
+    except (OSError, ValueError, KeyError):
+        return {}
+
+
+def after_kills(said: list[dict]) -> list[str]:
+    """In words, of each kill: what the file kept, and what the next node first said of it."""
+    kills = [i for i, one in enumerate(said) if one['topic'] == 'killed']
+    lines = []
+    for first, last in zip(kills, [*kills[1:], len(said)]):
+        whole, beside, kept = (said[first][key] for key in ('whole', 'beside', 'kept'))
+        first_words = {}
+        for one in said[first:last]:
+            if one['topic'] == '/fusion_node/calibration' and one['values']['applied'] == 'True':
+                first_words.setdefault(one['name'].rpartition(': ')[2], f"{one['values']['state']}, applied")
+        lines.append(f"kill {len(lines) + 1}: the file {'is whole' if whole else 'IS NOT WHOLE'}, beside it {beside}, "
+                     f'keeps {json.dumps(kept)}; then: {first_words}')
+    return lines
+
+
+def record(folder: Path, bag: str, rate: float, kills: list[float], random: RandomKills,
+           assignments: list[str]) -> None:
     """Play `bag` to a node and write down what it says."""
     values = {'imu_topic': '/imu/data', 'gnss_topic': '/gps/fix', **parameters(assignments)}
     folder.mkdir(parents=True, exist_ok=True)
@@ -156,12 +211,14 @@ def record(folder: Path, bag: str, rate: float, kills: list[float], assignments:
     while player.poll() is None:
         time.sleep(0.05)
         begin = begin or listener.newest
-        if left and begin and listener.newest - begin > left[0] * SECOND:
-            left.pop(0)
+        planned = left and begin and listener.newest - begin > left[0] * SECOND
+        if planned or random.is_now(listener.newest, state):
+            left = left[1:] if planned else left
             node.process.send_signal(signal.SIGKILL)
             node.process.wait()
+            text = state.read_text() if state.exists() else 'no file'
             beside = [one.name for one in folder.iterdir() if one.name.startswith(f'.{STATE}')]
-            listener.note('killed', message=f"{state.read_text() if state.exists() else 'no file'}", beside=beside)
+            listener.note('killed', message=text, whole=is_whole(text), beside=beside, kept=kept_in(state))
             node = Node(listener, arguments)
     time.sleep(2.0)
     loads.append(os.getloadavg()[0])
@@ -221,6 +278,7 @@ def write(folder: Path, content: dict) -> None:
             before[one['name']] = key
         elif one['topic'] in ('log', 'state file', 'killed'):
             print(f"{after:7.1f} s  {one['topic']}: {one['message'][:300]}")
+    print(*after_kills(content['said']), sep='\n')
     sys.stdout.flush()
 
 
@@ -313,12 +371,17 @@ def main() -> None:
     parser.add_argument('input', nargs='+')
     parser.add_argument('--rate', type=float, default=4.0)
     parser.add_argument('--kill', type=float, nargs='+', default=[])
+    parser.add_argument('--kills', type=int, default=0)
+    parser.add_argument('--kept', type=int, default=1)
+    parser.add_argument('--life', type=float, default=120.0)
+    parser.add_argument('--seed', type=int, default=0)
     parser.add_argument('-p', action='append', default=[], dest='assignments')
     options = parser.parse_args()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_LOG_DIR', tempfile.mkdtemp())
     if options.what == 'record':
-        record(options.output, options.input[0], options.rate, options.kill, options.assignments)
+        record(options.output, options.input[0], options.rate, options.kill,
+               RandomKills(options.kills, options.kept, options.life, options.seed), options.assignments)
     elif options.what == 'replay':
         replay(options.output, options.input[0], options.assignments)
     else:

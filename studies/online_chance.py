@@ -2,7 +2,7 @@
 
     python studies/online_chance.py [--hours 10] [--minutes 60] [--processes 1] [--find] [--share 0.1]
                                     [--receivers "1.5 m" RTK] [--rate 1] [--each-fault] [--apart 300]
-                                    [--faults ahead,late]
+                                    [--faults ahead,late] [--gaps 0]
 
 Realistic drives (studies/vehicle.py) with the receivers 1.5 m, RTK, city, smoothing in turn, every second one with a
 fault of studies/faults.py each five minutes. Each minute the look without a filter, as always; in the place of the
@@ -13,7 +13,8 @@ which `diagnose` finds nothing, and an hour takes minutes.
 --find: the analyses of `diagnose`, which take an hour for some hours. --share: diagnosis.share; with 1 the result of an
 analysis counts a minute after its begin, so that an hour has as many analyses as it can have. --rate: of the fixes, Hz.
 --inputs: the filter has wheel speed, velocity of the receiver, and heading, with their faults. --each-fault: one fault
-for each drive, again and again, each --apart s; all findings are those of the look.
+for each drive, again and again, each --apart s; all findings are those of the look. --gaps: each so many seconds no
+fix for 10 to 90 s, or no sample of the IMU for 0.2 to 3 s.
 
 For each drive: findings on trial, which were FINE, and what was applied; of each value how far it is from the true one
 in sigmas. The mounting of realistic drives is some degrees off, which is there to be found; nothing else is.
@@ -76,6 +77,20 @@ def with_faults(recording: Recording, seed: int, apart: float, faults: list[Faul
     return recording, names
 
 
+def with_gaps(recording: Recording, seed: int, apart: float) -> Recording:
+    """Without fixes, or without samples of the IMU, for a while each `apart` s."""
+    rng, begin, kept = np.random.default_rng(seed), recording.imu.stamp[0], {}
+    end = (recording.imu.stamp[-1] - begin) * 1e-9
+    for name, samples in (('imu', recording.imu), ('gnss', recording.gnss)):
+        there = np.ones(len(samples.stamp), dtype=bool)
+        after = (samples.stamp - begin) * 1e-9
+        least, most = (0.2, 3.0) if name == 'imu' else (10.0, 90.0)
+        for at in np.arange(apart, end, apart) + rng.uniform(0.0, 0.5 * apart, len(np.arange(apart, end, apart))):
+            there &= (after < at) | (after > at + rng.uniform(least, most))
+        kept[name] = samples.select(there)
+    return replace(recording, **kept)
+
+
 @dataclass(frozen=True)
 class Drives:
     """How drives are made, and what is told of them: as the options of the command line."""
@@ -89,6 +104,7 @@ class Drives:
     faults: str
     find: bool
     share: float
+    gaps: float
 
     def of(self, seed: int) -> tuple[str, Recording, list[str], dict]:
         """What the drive is, its recording, the faults in it, and the values that its filter is given."""
@@ -102,8 +118,10 @@ class Drives:
         number, faulty = divmod(seed // len(self.receivers), 2)
         if self.each_fault:
             faults, faulty = [faults[seed % len(faults)]], True
-        faults = with_faults(recording, seed, self.apart, faults) if faulty else (recording, [])
-        return f'{name}{", faults" if faulty else ""}', *faults, given
+        recording, there = with_faults(recording, seed, self.apart, faults) if faulty else (recording, [])
+        if self.gaps:
+            recording = with_gaps(recording, seed, self.gaps)
+        return f'{name}{", faults" if faulty else ""}{", gaps" if self.gaps else ""}', recording, there, given
 
 
 def of_drive(seed: int, drives: Drives) -> tuple[str, list, list, list, list[str]]:
@@ -137,6 +155,7 @@ def main() -> None:
     parser.add_argument('--each-fault', action='store_true')
     parser.add_argument('--apart', type=float, default=300.0)
     parser.add_argument('--faults', default='', help='those with one of these in their name, separated by commas')
+    parser.add_argument('--gaps', type=float, default=0.0)
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + round(options.hours * 60.0 / options.minutes))
     drives = Drives(**{one.name: getattr(options, one.name) for one in dataclasses.fields(Drives)})

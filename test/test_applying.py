@@ -793,6 +793,40 @@ def test_where_the_fixes_speak_against_a_finding_the_estimate_goes_over_before_i
     assert np.linalg.norm(fusion.odometry[p] - before) < 0.06 * apart + 1.0
 
 
+@pytest.mark.parametrize('goes_to', ['where it is without it', 'beyond'])
+def test_a_jump_of_the_fixes_to_where_they_are_without_a_finding_shows_that_it_has_gone(goes_to):
+    # given an arm of the antenna that is right, and fixes that jump while the vehicle drives
+    arm, at = {'x': 1.2, 'y': -0.8}, 200
+    after = {} if goes_to == 'where it is without it' else {name: -3.0 * value for name, value in arm.items()}
+    sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
+    motion = simulate_drive(230.0, seed=5, rate=20.0)
+    first, second = (simulate_recording(motion, sensors, GnssNoise(0.02), seed=5,
+                                        effects=[(effect_called('gnss_lever_arm'), one)]).recording
+                     for one in (arm, after))
+    gnss, other = first.gnss, second.gnss
+    jumped = gnss.stamp >= first.imu.stamp[0] + at * SECOND
+    fixes = replace(gnss, **{name: np.where(jumped, getattr(other, name), getattr(gnss, name))
+                             for name in ('latitude', 'longitude', 'height')})
+    recording = replace(first, gnss=fixes)
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters({**APPLY, 'gnss.lever_arm': [1.2, -0.8, 0.0]}))
+    fusion.watch({'gnss_lever_arm': APPLY})
+    fed(fusion, recording, 0, at * 20)
+    assert not fusion._suspected
+    # when a few of them have come
+    fed(fusion, recording, at * 20, (at + 6) * 20)
+    fusion.update_odometry()
+    truth = first.reference
+    k = np.searchsorted(truth.stamp, fusion._now)
+    error = math.hypot(*to_local(fusion.geodetic[0], fusion.geodetic[1], fusion.geodetic[2],
+                                 (truth.latitude[k], truth.longitude[k], truth.height[k]))[:2])
+    # then a filter goes on from there without it, and the published estimate with that one,
+    if not after:
+        assert fusion._suspected == ['gnss_lever_arm'] and error < 0.4
+    # but not where they jump beyond, although they are nearer to where they are without it all the same
+    else:
+        assert not fusion._suspected and not fusion._branches
+
+
 def test_the_covariance_covers_both_estimates_whatever_the_share(late, monkeypatch):
     # given a filter with a wrong arm of the antenna, and one without it beside it, which stand apart
     right = {**APPLY, 'gnss.time_offset': OFFSET}

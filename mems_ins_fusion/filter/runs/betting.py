@@ -101,6 +101,11 @@ class Bets:
         self._count += 1
         self._near += (min(math.hypot(*present), math.hypot(*other)) - self._near) / min(self._count, USUAL)
 
+    @property
+    def usual_distance(self) -> float:
+        """B, m."""
+        return self._near
+
     def begin_anew(self) -> None:
         """Reset the wealth; the statistics of the errors stay."""
         self.pro = self.con = 0.0

@@ -12,16 +12,18 @@ change at the same sample.
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...navigation.frames import wrap, yaw_of_quaternion
+from ..bank import Bank
 from ..config import FilterConfig
 from ..memory import Event
 from ..start.course import start_covariance
 from ..start.start import Start
-from .betting import Bets
+from .betting import CLEAR, Bets
 from .blending import Blending, blending
 from .horizon import Horizon, HorizonPredictor
 from .live import FusionFilter
@@ -56,6 +58,9 @@ DROPPED = 86_400.0
 #: (`ChangingFilter.doubt`). Smaller than DROPPED, as there is evidence besides the innovations: the new parameters have
 #: been proven, and another value than the doubted one is on trial
 SHOWN_BETTER = 20.0
+#: distance of a jump's end from a prediction over the length of the jump: one in SHOWN_BETTER directions meets a circle
+#: of this radius, whatever the length
+NEAR = math.sin(math.pi / SHOWN_BETTER)
 #: number of fixes whose innovations are kept: two filters process the same fix within seconds of each other
 KEPT_FIXES = 100
 #: attributes of the filter object that stay when another filter takes over: outputs, messages and counts
@@ -113,6 +118,20 @@ class WatchedFilter(FusionFilter):
         velocity = speed * np.array([math.cos(yaw), math.sin(yaw)])
         self._begin(Start(0.0, *other.geodetic.tolist(), velocity, float(wrap(yaw)), covariance, None), epoch)
 
+    def begin_as(self, other: FusionFilter) -> None:
+        """Begin at the whole state of `other`, whose newest sample is the first one of this filter. Of its settings
+        those that differ between both configurations are replaced."""
+        self.reset()
+        if other._memory is None:
+            return
+        self._epoch, self._ids, self._newest_fix = other._epoch, other._ids, other._newest_fix
+        self._memory = other._memory.copy()
+        before, after = other.config.memory(), self.config.memory()
+        differ = np.flatnonzero((before != after) & ~(np.isnan(before) & np.isnan(after)))
+        size = int(self._memory[Bank.SIZE])
+        for one in (self._memory, self._memory[size:]) if self._memory[Bank.OPEN] else (self._memory,):
+            one[differ] = after[differ]
+
     def turn_into(self, values: dict) -> None:
         """Go on with the checked parameters `values`, of another mounting (`turns_into`)."""
         config = FilterConfig.from_parameters(values)
@@ -138,14 +157,31 @@ class ParallelFilter:
 
     begun: ns. since: ns, when its wealth was last at its initial value. after: number of the last fix before the
     comparison. settling: s with fixes in both filters before the first bet, if neither has run before: a filter that
-    has just aligned predicts worse by chance. is_new: it has no sample yet.
+    has just aligned predicts worse by chance. is_new: it has no sample yet. branch_of: the filter without the
+    same finding that runs already, of a branch: one that begins at the whole state of the present one where the fixes
+    have jumped.
     """
 
-    def __init__(self, fusion: WatchedFilter, begun: int, after: int, settling: float = 0.0, is_new: bool = False):
+    def __init__(self, fusion: WatchedFilter, begun: int, after: int, settling: float = 0.0, is_new: bool = False,
+                 branch_of: ParallelFilter | None = None):
         self.fusion, self.begun, self.since, self.is_new = fusion, begun, begun, is_new
+        self.is_branch, self._has_bet = branch_of is not None, False
         self._bets, self._compared, self._settling = Bets(), after, settling
+        if branch_of is not None:
+            self._bets = deepcopy(branch_of._bets)
+            self._bets.begin_anew()
         self._settled: int | None = None  # ns, from when on there are bets
         self._weights, self._bet = (0.0, 0.0), begun  # `weight` before the last bet and a second after it; ns, the bet
+
+    @property
+    def usual_distance(self) -> float:
+        """Mean distance of a fix from the nearer prediction, m; 0 before the first."""
+        return self._bets.usual_distance
+
+    @property
+    def is_refuted(self) -> bool:
+        """Whether the fixes after it began do not speak for it, of a branch."""
+        return self._has_bet and self._bets.pro <= 0.0
 
     def begin_anew(self) -> None:
         """Reset the comparison: both filters have to align again."""
@@ -177,12 +213,23 @@ class ParallelFilter:
         if now < self._settled:
             self.since = now
             return
-        self._bets.take(*(tuple(np.mean([misfits[number] for number in both], axis=0).tolist())
-                          for misfits in (present, own)))
+        means = [tuple(np.mean([misfits[number] for number in both], axis=0).tolist()) for misfits in (present, own)]
+        if self.is_branch and not self._has_bet:
+            self._bets.pro = math.log(SHOWN_BETTER) if _meets(*means) else 0.0
+            self._bets.see(*means)
+        else:
+            self._bets.take(*means)
+        self._has_bet = True
         if self._bets.pro <= 0.0:
             self._bets.pro, self.since = 0.0, now
         self._weights = self.weight(now), max(1.0 - SHOWN_BETTER * math.exp(-self._bets.pro), 0.0)
         self._bet = now
+
+
+def _meets(present: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether a filter that is right behind a jump of the fixes away from the present one is met by it, as a jump in a
+    direction by chance would meet it with a probability of 1 / SHOWN_BETTER. present, other: innovations, m."""
+    return math.hypot(*other) < NEAR * math.dist(present, other)
 
 
 class ChangingFilter(WatchedFilter):
@@ -195,6 +242,8 @@ class ChangingFilter(WatchedFilter):
         self._slot, self._fixes = 0, 0  # period of the newest comparison; number of fixes
         self._without: dict[str, dict] = {}  # parameters without each finding that is applied, or about to be
         self._beside: dict[str, ParallelFilter] = {}  # filters without each finding
+        #: filters that go on from a jump of the fixes without a finding, as if it had become wrong in that moment
+        self._branches: dict[str, ParallelFilter] = {}
         self._ready: list[ParallelFilter] = []  # filters with parameters on trial
         self._doubted: frozenset[str] = frozenset()
         self._dropped: list[Dropped] = []
@@ -216,7 +265,13 @@ class ChangingFilter(WatchedFilter):
 
     @property
     def _running(self) -> list[ParallelFilter]:
-        return [*([] if self._next is None else [self._next]), *self._beside.values(), *self._ready]
+        return [*([] if self._next is None else [self._next]), *self._beside.values(), *self._branches.values(),
+                *self._ready]
+
+    def _without_it(self, name: str) -> ParallelFilter:
+        """The filter without a finding that speaks more against it."""
+        return max((some[name] for some in (self._beside, self._branches) if name in some),
+                   key=lambda one: one.weight(self._now))
 
     def change(self, values: dict, without: dict[str, dict] | None = None) -> None:
         """Change to the checked parameters `values` as soon as a filter with them can take over.
@@ -228,14 +283,16 @@ class ChangingFilter(WatchedFilter):
             self._turn(values)
             return
         # where a finding is taken back, the filter without it runs already
-        there = next((one for one in self._beside.values() if one.fusion.config.parameters == values), None)
+        there = max((one for one in (*self._beside.values(), *self._branches.values())
+                     if one.fusion.config.parameters == values), key=lambda one: one.weight(self._now), default=None)
         suspected = self._suspected
         if suspected is not None:
             self.update_odometry()
         published = self.odometry.copy()
         self._next = there or self._having(values)
         self._ready = [one for one in self._ready if one is not self._next]
-        self._beside = {name: one for name, one in self._beside.items() if one is not self._next}
+        self._beside, self._branches = ({name: one for name, one in some.items() if one is not self._next}
+                                        for some in (self._beside, self._branches))
         if suspected is not None and suspected != self._suspected:
             self._begin_blending(published)
 
@@ -264,10 +321,11 @@ class ChangingFilter(WatchedFilter):
         there = next((one for one in self._ready if one.fusion.config.parameters == values), None)
         return there or self._beside_with(values)
 
-    def _beside_with(self, values: dict, settling: float = 0.0) -> ParallelFilter:
+    def _beside_with(self, values: dict, settling: float = 0.0,
+                     branch_of: ParallelFilter | None = None) -> ParallelFilter:
         fusion = WatchedFilter(FilterConfig.from_parameters(values))
         fusion.use_fixes(self._using_fixes)
-        return ParallelFilter(fusion, self._now, self._fixes, settling, is_new=True)
+        return ParallelFilter(fusion, self._now, self._fixes, settling, True, branch_of)
 
     def add_imu(self, stamp: int, *numbers) -> bool:
         new = super().add_imu(stamp, *numbers)
@@ -276,7 +334,7 @@ class ChangingFilter(WatchedFilter):
             if one.is_new and one.fusion._now == stamp:
                 one.is_new = False
                 if self.aligned:
-                    one.fusion.begin_at(self)
+                    (one.fusion.begin_as if one.is_branch else one.fusion.begin_at)(self)
         if self._others and stamp // COMPARISON_PERIOD != self._slot:
             self._slot = stamp // COMPARISON_PERIOD
             for other in self._others:
@@ -321,7 +379,7 @@ class ChangingFilter(WatchedFilter):
         self._further = 0.0, 0.0
         suspected = self._suspected
         if suspected is not None:
-            self._move_toward(self._beside[suspected], stamp)
+            self._move_toward(self._without_it(suspected), stamp)
         if self._blending is not None:
             part = self._blending.part(stamp)
             if part > 0.0:
@@ -334,7 +392,7 @@ class ChangingFilter(WatchedFilter):
     def _suspected(self) -> str | None:
         """Name of the finding that seems to be wrong: the one without which the fixes are met best; None: there is
         none."""
-        weight, best = max(((one.weight(self._now), name) for name, one in self._beside.items()),
+        weight, best = max(((self._without_it(name).weight(self._now), name) for name in self._beside),
                            key=lambda found: found[0], default=(0.0, None))
         return best if weight > 0.0 else None
 
@@ -368,7 +426,7 @@ class ChangingFilter(WatchedFilter):
 
     def reset(self) -> None:
         super().reset()
-        self._blending = None
+        self._blending, self._branches = None, {}
         for one in self._running:
             one.fusion.reset()
             one.begin_anew()
@@ -378,13 +436,27 @@ class ChangingFilter(WatchedFilter):
         """
         for one in self._running:
             one.compare(self.misfits, now)
-        wrong = next((name for name, one in self._beside.items() if one.is_better(
+        self._branch(now)
+        wrong = next((name for some in (self._beside, self._branches) for name, one in some.items() if one.is_better(
             SHOWN_BETTER if name in self._doubted else DROPPED)), None)
         if wrong is not None:
             self._drop(wrong, now)
         elif self._next is not None:
             self._follow_up(now)
         self._say_suspected()
+
+    def _branch(self, now: int) -> None:
+        """Where the newest fix is so far off that a jump to another prediction would be clear, go on from here without
+        each finding as well, as if it became wrong in this second; end what the fixes after it do not meet."""
+        self._branches = {name: one for name, one in self._branches.items()
+                          if name in self._beside and not one.is_refuted}
+        off = math.hypot(*self.misfits[max(self.misfits)]) if self.misfits and self._memory is not None else 0.0
+        for name, one in self._beside.items():
+            config = one.fusion.config  # a time offset has room for other measurements, so its memory is no copy
+            if (name not in self._branches and one.fusion._memory is not None
+                    and 0.0 < CLEAR * one.usual_distance < NEAR * off
+                    and config.layout == self.config.layout and len(one.fusion._memory) == len(self._memory)):
+                self._branches[name] = self._beside_with(config.parameters, branch_of=one)
 
     def _say_suspected(self) -> None:
         """Say where the published estimate begins to move to a filter without a finding, and where it is back; nothing
@@ -415,7 +487,7 @@ class ChangingFilter(WatchedFilter):
 
     def _turn(self, values: dict) -> None:
         """Go on in the axes of another mounting, and the filters without each finding as well."""
-        self._next = None
+        self._next, self._branches = None, {}
         self.update_odometry()
         published = self.odometry.copy()
         self.turn_into(values)
@@ -438,12 +510,12 @@ class ChangingFilter(WatchedFilter):
     def _drop(self, name: str, now: int) -> None:
         """Let the filter without the finding `name` take over at once. From now on only the diagnosis watches other
         findings."""
-        one, without = self._beside[name], self._without.get(name)
+        one, without = self._without_it(name), self._without.get(name)
         position, yaw = self._from(one.fusion)
         self._dropped.append(Dropped(name, one.since, now))
         pending, self._next = self._next is not None, None
         self._take_over(one.fusion, now, position, yaw)
-        self._beside, self._without = {}, {}
+        self._beside, self._branches, self._without = {}, {}, {}
         if pending:
             self.change(without)
 
@@ -458,7 +530,7 @@ class ChangingFilter(WatchedFilter):
         filters = (before, *(one.fusion for one in self._beside.values()))
         self._next = None
         self.__dict__.update({name: value for name, value in vars(other).items() if name not in _STAYS})
-        self._blending, self._beside = None, {}
+        self._blending, self._beside, self._branches = None, {}, {}
         before._withheld.stop()
         if self._memory is not None:
             self._follow_withheld()
