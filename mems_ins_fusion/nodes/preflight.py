@@ -36,10 +36,12 @@ class Preflight:
         self._inputs, self._values = inputs, values
         self._began, self._sampled = time.monotonic(), None
         self._ages: list[float] = []  # s, from the stamp of each fix to that of the newest sample when it came
+        self._has_position = False
         self._done = self._said_silent = False
 
-    def add_fix(self, stamp: int) -> None:
-        """A fix with this stamp, ns, has come."""
+    def add_fix(self, stamp: int, has_position: bool) -> None:
+        """A message of the receiver with this stamp, ns, has come. has_position: by its status and its numbers."""
+        self._has_position |= has_position
         imu = self._inputs[0].traffic
         if imu.count and not self._done:
             self._ages.append((imu.stamp - stamp) * 1e-9)
@@ -71,8 +73,12 @@ class Preflight:
             return source.kind, f'no message: {source.why_silent()}'
         seen = (f"{source.kind.rpartition('/')[2]}, {traffic.hertz:.3g} Hz, frame '{traffic.frame_id}', "
                 f'stamps {traffic.delay:.2g} s old')
+        if (publishers := source.publishers()) > 1:
+            return seen, f'{publishers} publishers on this topic, whose messages are mixed: stop all but one'
         if source.name == 'imu' and traffic.hertz < 20.0:
             return seen, 'an IMU needs 20 Hz or more'
+        if source.name == 'fix' and not self._has_position:
+            return seen, 'the receiver has no position yet (status -1, or NaN)'
         return seen, source.qos_problem()
 
     def _mounting(self, force) -> tuple[str, str]:
