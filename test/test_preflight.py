@@ -4,6 +4,7 @@ from __future__ import annotations
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mems_ins_fusion.nodes import preflight
@@ -117,3 +118,14 @@ def test_a_receiver_without_a_position_is_not_fine(monkeypatch):
     said = Played(monkeypatch, 1.0, 0.0, has_position=False).said[-1]
     assert 'the receiver has no position yet' in said and '1 to look at' in said
     assert 'no position' not in Played(monkeypatch, 1.0, 0.0).said[-1]
+
+
+@pytest.mark.parametrize('mechanization, size, advice', [
+    ('strapdown', 9.9, ''), ('strapdown', 1.0, "set imu.acceleration_unit to 'g', or gravity is removed"),
+    ('strapdown', 0.2, 'a wrong unit, or a scale error, or gravity is removed'), ('strapdown', 40.0, 'a wrong unit'),
+    ('planar', 0.2, ''), ('planar', 40.0, 'a wrong unit')])
+def test_an_imu_without_gravity_is_told_where_gravity_is_needed(mechanization, size, advice):
+    # given samples of a driver that removes gravity, then neither is another unit the only advice, nor one of mounting
+    said = preflight._units(np.array([0.0, 0.0, size]), mechanization)[1]
+    assert said.startswith(advice) and bool(said) == bool(advice)
+    assert ('gravity is removed' in said) == (mechanization == 'strapdown' and size < 6.0)
