@@ -12,6 +12,7 @@ from mems_ins_fusion.filter.memory import Event, Kind, views
 from mems_ins_fusion.filter.runs.intake import Intake
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.filter.start.plausibility import problem_of_samples
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.samples import Fixes
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -283,6 +284,17 @@ def test_acceleration_in_g_is_not_started_with(mechanization):
     text = result.notices[-1].text
     assert result.start is None and 'a possible specific force on /imu/data' in text
     assert "in g; set imu.acceleration_unit to 'g'" in text
+
+
+@pytest.mark.parametrize('mechanization, size, removed', [('strapdown', 0.9, True), ('strapdown', 0.1, True),
+                                                          ('strapdown', 30.0, False), ('planar', 1.0, False)])
+def test_gravity_that_is_removed_may_look_like_another_unit(mechanization, size, removed):
+    """Given samples of a driver that removes gravity, in motion, Then a wrong unit is not the only cause that is told;
+    planar needs no gravity."""
+    samples = np.zeros((300, 7))
+    samples[:, 0], samples[:, 1] = np.arange(300) / 100.0, size
+    text = problem_of_samples(samples, configure({'mechanization': mechanization}))
+    assert 'a possible specific force' in text and ('gravity is removed from it' in text) == removed
 
 
 @pytest.mark.parametrize(('factor', 'told'), [(1.2, True), (1.05, False), (1.0, False)])

@@ -347,6 +347,23 @@ def test_the_checker_speaks_up(files, tmp_path, capsys):
     assert 'instead of m/s^2' not in capsys.readouterr().out
 
 
+def test_what_the_next_command_finds_is_no_error(files, tmp_path, capsys):
+    """Given an IMU on its side, as a phone is mounted, When imported, Then that is a note: configure sets it."""
+    on_its_side = write(tmp_path / 'side.csv', 'time,ax,ay,az,wx,wy,wz', imu_rows(force=(0, G, 0.1)))
+    assert run((on_its_side, *files[1:])) == 0
+    printed = capsys.readouterr().out
+    assert 'note: imu: the IMU seems to be mounted on its side' in printed and '(configure does)' in printed
+    assert 'error:' not in printed
+
+
+def test_times_before_zero(files, tmp_path, capsys):
+    """Given times of which some are negative, Then the message names the line and says what to do."""
+    rows = [(i * 0.01 - 0.02, 0, 0, G, 0, 0, 0) for i in range(300)]
+    assert run((write(tmp_path / 'early.csv', 'time [s],ax,ay,az,wx,wy,wz', rows), *files[1:])) == 2
+    printed = capsys.readouterr().err
+    assert "early.csv, line 2: time -0.02 in column 'time [s]' is before 0: add the same number" in printed
+
+
 def test_a_reference_file_becomes_a_topic(files, tmp_path):
     truth = write(tmp_path / 'truth.csv', 'time,lat,lon,height', gnss_rows(30))
     assert run(files, '--reference', str(truth)) == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mems_ins_fusion.nodes import preflight
@@ -19,14 +20,15 @@ class Played:
     """A recording of 100 Hz and 4 Hz whose messages come `rate` times as fast as they were recorded.
 
     newer: s, by which a fix is stamped after the newest sample when it comes. After 6 s by the clock it has been seen.
-    silent: s, whole ones, before the first message. said: texts.
+    silent: s, whole ones, before the first message. publishers: of each topic. has_position: whether fixes have one.
+    said: texts.
     """
 
-    def __init__(self, monkeypatch, rate, newer, silent=0, **values):
+    def __init__(self, monkeypatch, rate, newer, silent=0, publishers=1, has_position=True, **values):
         self.now = 100.0
         monkeypatch.setattr(preflight.time, 'monotonic', lambda: self.now)
         inputs = [SimpleNamespace(name=name, topic_name=f'/{name}', kind='a type', qos_problem=lambda: '',
-                                  why_silent=lambda: 'nobody publishes it',
+                                  publishers=lambda: publishers, why_silent=lambda: 'nobody publishes it',
                                   traffic=Traffic(3.0, lambda: STARTED + 10**17 + round(self.now * SECOND),
                                                   clock=lambda: self.now)) for name in ('imu', 'fix')]
         looks = Preflight(inputs, {**table.defaults(), **values})
@@ -38,7 +40,7 @@ class Played:
             self.now = 100.0 + silent + k / (100 * rate)
             self._take(inputs[0], k / 100)
             if k % 25 == 7:
-                looks.add_fix(self._take(inputs[1], k / 100 + newer))
+                looks.add_fix(self._take(inputs[1], k / 100 + newer), has_position)
             if k % round(100 * rate) == 0:
                 for one in inputs:
                     one.traffic.look(1)
@@ -89,7 +91,7 @@ def test_without_a_fix_there_is_nothing_to_compare(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(preflight.time, 'monotonic', lambda: now[0])
     looks = Preflight(inputs, table.defaults())
-    looks.add_fix(STARTED)
+    looks.add_fix(STARTED, True)
     now[0] = 13.0
     assert 'nothing to compare' in looks.look(None)[1]
 
@@ -103,3 +105,27 @@ def test_messages_that_begin_later_are_judged_when_they_have_come_for_some_secon
     assert 'no message' not in played.said[-1] and 'needs 20 Hz' not in played.said[-1]
     assert '100 Hz' in played.said[-1]
     assert all('no message' in text for text in played.said[:-1])
+
+
+def test_two_publishers_of_a_topic_are_told(monkeypatch):
+    # given a driver and a recording on the same topics, then it is said; with one publisher it is not
+    assert '2 publishers on this topic' in Played(monkeypatch, 1.0, 0.0, publishers=2).said[-1]
+    assert 'publishers' not in Played(monkeypatch, 1.0, 0.0).said[-1]
+
+
+def test_a_receiver_without_a_position_is_not_fine(monkeypatch):
+    # given messages that all say that there is no fix, then the block says so; a position is enough to be fine
+    said = Played(monkeypatch, 1.0, 0.0, has_position=False).said[-1]
+    assert 'the receiver has no position yet' in said and '1 to look at' in said
+    assert 'no position' not in Played(monkeypatch, 1.0, 0.0).said[-1]
+
+
+@pytest.mark.parametrize('mechanization, size, advice', [
+    ('strapdown', 9.9, ''), ('strapdown', 1.0, "set imu.acceleration_unit to 'g', or gravity is removed"),
+    ('strapdown', 0.2, 'a wrong unit, or a scale error, or gravity is removed'), ('strapdown', 40.0, 'a wrong unit'),
+    ('planar', 0.2, ''), ('planar', 40.0, 'a wrong unit')])
+def test_an_imu_without_gravity_is_told_where_gravity_is_needed(mechanization, size, advice):
+    # given samples of a driver that removes gravity, then neither is another unit the only advice, nor one of mounting
+    said = preflight._units(np.array([0.0, 0.0, size]), mechanization)[1]
+    assert said.startswith(advice) and bool(said) == bool(advice)
+    assert ('gravity is removed' in said) == (mechanization == 'strapdown' and size < 6.0)

@@ -22,7 +22,10 @@ named with --imu-columns and --gnss-columns, in files without names by their num
 the names (acc_x [g]) or are given as options. Times of both files must be of one clock. What is missing is named all at
 once, with the options that would fit.
 
-Samples are turned to base_link (forward, left, up), so that imu.mounting_rpy is 0."""
+Where --imu-axes or the preset gives the axes, samples are turned to base_link (forward, left, up), and imu.mounting_rpy
+is 0. Those of a phone stay as they are: configure finds how it was mounted."""
+#: parameters that `configure`, the next command, sets: what the checker finds of these is not wrong yet
+_SET_BY_CONFIGURE = frozenset(('imu.mounting_rpy', 'gnss.time_offset'))
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -44,7 +47,7 @@ def import_csv(options: argparse.Namespace):
 
     formats = _formats(options)
     for name in dict.fromkeys(filter(None, formats.values())):
-        yield f'read as {name} ({FORMATS[name].about}); --preset none: not so'
+        yield f'read as {name} ({FORMATS[name].about}); --preset none turns that off'
     imu_options, gnss_options = (_with_preset(options, kind, formats[kind]) for kind in ('imu', 'gnss'))
     imu, temperature, text = csv_import.read_imu(
         options.imu, imu_options['columns'], options.imu_axes or imu_options.get('axes', 'forward left up'),
@@ -98,7 +101,11 @@ def import_csv(options: argparse.Namespace):
         if samples is not None)
     for finding in findings:
         said = finding.message.replace('see imu.acceleration_unit', 'see --acceleration-unit')
-        yield f"{finding.severity}: {finding.topic}: {said.replace('see imu.rate_unit', 'see --gyro-unit')}"
+        said = f"{finding.topic}: {said.replace('see imu.rate_unit', 'see --gyro-unit')}"
+        if fixes is not None and finding.settings and _SET_BY_CONFIGURE.issuperset(finding.settings):
+            yield f'note: {said} (configure does)'
+        else:
+            yield f'{finding.severity}: {said}'
     tool, result = ('characterize', 'imu') if fixes is None else ('configure', 'my_car.yaml')
     yield from typed(f'next: python -m mems_ins_fusion {tool} --bag {shlex.quote(str(options.output))} '
                      f'--output {result}')

@@ -203,7 +203,7 @@ def _missing(topics, drives, mounting):
     if mounting is not None and not any(drive.still.any() for drive in drives):
         yield 'no standstill: sensor noise, gyroscope.bias and vehicle.zero_velocity are left at their defaults'
     if all(drive.units.steering is None for drive in drives):
-        yield f'no turn tells the unit of the gyroscopes; {drives[0].units.rate} is taken'
+        yield f'no turns clear enough to tell the unit of the gyroscopes; {drives[0].units.rate} is taken'
     if mounting is None or mounting.offset is None or not mounting.offset.shown:
         yield 'the time offset between IMU and fixes is not shown'
 

@@ -87,7 +87,7 @@ def _unit_settings(units: Units):
         f'{units.magnitude:.4g} {units.acceleration} {where}'
         + (', which is gravity' if units.gravity else ': no gravity in it, taken to be m/s^2'),))
     if units.steering is None:
-        why = f'no turn tells; the largest rates are {units.largest:.2g}'
+        why = f'no turns clear enough to tell; the largest rates are {units.largest:.2g}'
     else:
         turned, sigma = (RATE[units.rate] * value for value in units.steering.turned)
         why = f'the gyroscopes turn by {turned:.3g} +- {max(sigma, 0.001):.1g} times the angle of the course'

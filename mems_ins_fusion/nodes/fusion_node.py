@@ -211,10 +211,11 @@ class FusionNode(Node):
         stamp = self._fix.traffic.stamp
         if not isinstance(message, NavSatFix) or math.isnan(message.altitude):
             message = nav_sat_fix(message)
-        self._monitor.preflight.add_fix(stamp)
         self._verdicts.keep(message)
         latitude, longitude = math.radians(message.latitude), math.radians(message.longitude)
-        if self._state_file and message.status.status >= 0 and math.isfinite(latitude + longitude + message.altitude):
+        has_position = message.status.status >= 0 and math.isfinite(latitude + longitude + message.altitude)
+        self._monitor.preflight.add_fix(stamp, has_position)
+        if self._state_file and has_position:
             self._resume(stamp, latitude, longitude, message.altitude)
         fix = (stamp, latitude, longitude, message.altitude, message.position_covariance.copy(), message.status.status,
                message.position_covariance_type)

@@ -24,6 +24,8 @@ _OTHER_CLOCK = 1.0
 _NEWER = -0.1
 #: m/s^2 by which the mean specific force may differ from gravity: braking, a bias
 _GRAVITY = 1.5
+#: m/s^2, largest mean specific force over a second of an IMU that delivers the acceleration alone: hard braking
+_WITHOUT_GRAVITY = 6.0
 #: rad by which its direction may differ from the vertical: a slope, a turn
 _TILT = math.radians(15.0)
 
@@ -36,10 +38,12 @@ class Preflight:
         self._inputs, self._values = inputs, values
         self._began, self._sampled = time.monotonic(), None
         self._ages: list[float] = []  # s, from the stamp of each fix to that of the newest sample when it came
+        self._has_position = False
         self._done = self._said_silent = False
 
-    def add_fix(self, stamp: int) -> None:
-        """A fix with this stamp, ns, has come."""
+    def add_fix(self, stamp: int, has_position: bool) -> None:
+        """A message of the receiver with this stamp, ns, has come. has_position: by its status and its numbers."""
+        self._has_position |= has_position
         imu = self._inputs[0].traffic
         if imu.count and not self._done:
             self._ages.append((imu.stamp - stamp) * 1e-9)
@@ -57,7 +61,9 @@ class Preflight:
         self._done, self._said_silent = bool(ripe), True
         lines = [(f'{i.topic_name} ({i.name})', *self._input(i)) for i in self._inputs]
         if force is not None:
-            lines += [('units', *_units(force)), ('mounting', *self._mounting(force))]
+            lines.append(('units', *_units(force, self._values['mechanization'])))
+            if abs(np.linalg.norm(force) - STANDARD_GRAVITY) < _GRAVITY:  # by gravity alone
+                lines.append(('mounting', *self._mounting(force)))
         lines.append(('clocks', *self._clocks()))
         width = max(len(line[0]) for line in lines)
         text = '\n'.join(f'  {what:{width}s}  {seen}: {advice or "fine"}' for what, seen, advice in lines)
@@ -71,8 +77,12 @@ class Preflight:
             return source.kind, f'no message: {source.why_silent()}'
         seen = (f"{source.kind.rpartition('/')[2]}, {traffic.hertz:.3g} Hz, frame '{traffic.frame_id}', "
                 f'stamps {traffic.delay:.2g} s old')
+        if (publishers := source.publishers()) > 1:
+            return seen, f'{publishers} publishers on this topic, whose messages are mixed: stop all but one'
         if source.name == 'imu' and traffic.hertz < 20.0:
             return seen, 'an IMU needs 20 Hz or more'
+        if source.name == 'fix' and not self._has_position:
+            return seen, 'the receiver has no position yet (status -1, or NaN)'
         return seen, source.qos_problem()
 
     def _mounting(self, force) -> tuple[str, str]:
@@ -106,8 +116,12 @@ def _older(seconds: float) -> str:
     return f"{abs(seconds):.3g} s {'older' if seconds >= 0.0 else 'newer'}"
 
 
-def _units(force) -> tuple[str, str]:
+def _units(force, mechanization: str) -> tuple[str, str]:
     size = float(np.linalg.norm(force))
-    advice = '' if abs(size - STANDARD_GRAVITY) < _GRAVITY else (
-        "set imu.acceleration_unit to 'g'" if abs(size - 1.0) < 0.2 else 'a wrong unit, or a scale error')
-    return f'linear_acceleration is {size:.2f} m/s^2, gravity included', advice
+    seen = f'linear_acceleration is {size:.2f} m/s^2, gravity included'
+    if abs(size - STANDARD_GRAVITY) < _GRAVITY or mechanization == 'planar' and size < _WITHOUT_GRAVITY:
+        return seen, ''
+    advice = "set imu.acceleration_unit to 'g'" if abs(size - 1.0) < 0.2 else 'a wrong unit, or a scale error'
+    if size < _WITHOUT_GRAVITY:
+        advice += ', or gravity is removed from it, which strapdown needs: publish the raw specific force'
+    return seen, advice

@@ -10,13 +10,30 @@ from .parameter import Parameter
 from .params_file import yaml_value
 from .table import FILTER, FUSION, REPLAY
 
+#: what a user has to set, before the tables
+_WHICH = """\
+## Which ones matter
+
+Few. The filter estimates or learns most of what the others describe, and begins with their defaults.
+
+1. *What nothing else tells:* topics, units, `imu.mounting_rpy`, `gnss.lever_arm` (a tape measure).
+   [`configure`](configure.md) finds them in a recording, the arm less well than a tape.
+2. *What the vehicle has or is:* `gnss.time_offset` (`configure` finds it), `speed_topic` and other inputs,
+   `vehicle.non_holonomic: false` for what moves sideways (`config/boat.yaml`), `vehicle.zero_velocity: false` for what
+   moves as quietly as it stands, `alignment.heading` for what is too slow for a course (`config/robot.yaml`).
+3. *Noise* is worth less: on three measured drives white noise of a quarter or four times changed errors without fixes
+   by a tenth at most, slow errors stated four times too large by up to six tenths, and a time offset that is half a
+   second wrong made them two to three times as large ([each of them](ablation.md#a-params-file-that-is-wrong)).
+   `configure`, [`diagnose`](closing_the_loop.md) and [`characterize`](characterize.md) write the noise.
+4. *The rest* are limits and sigmas for rare cases: leave them."""
+
 _TABLES = (('Filter', FILTER), ('fusion_node', FUSION), ('replay_node', REPLAY))
 
 
 def markdown() -> str:
     """The table as `docs/parameters.md`."""
     lines = ['# Parameters', '', 'Written by `python -m mems_ins_fusion.parameters > docs/parameters.md`.', '',
-             'SI units and radians. One params file may hold the parameters of every tool.']
+             'SI units and radians. One params file may hold the parameters of every tool.', '', _WHICH]
     for title, table in _TABLES:
         lines += ['', f'## {title}', '', '| name | default | unit | allowed | meaning |', '|---|---|---|---|---|']
         for p in table:

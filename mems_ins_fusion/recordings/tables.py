@@ -101,6 +101,10 @@ class Table:
 
     def _in_epoch(self, name, stamp: list[int], unit) -> np.ndarray:
         cells = self.columns[self.names.index(name)]
+        if min(stamp, default=0) < 0 and unit != 'date':
+            row = stamp.index(min(stamp))
+            raise RecordingError(f"{self.path}, line {self.lines[row]}: time {cells[row]} in column '{name}' is before "
+                                 '0: add the same number to the times of all files, or leave such rows out')
         if min(stamp, default=0) < 0 or max(stamp, default=0) >= LATEST:
             raise RecordingError(f"{self.path}: times from {cells[0]} to {cells[-1]} in column '{name}', taken for "
                                  f'{unit}, are not between 1970 and 2038; state their unit')

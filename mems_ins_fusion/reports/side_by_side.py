@@ -214,6 +214,9 @@ def trust_of(result: Result) -> Trust:
 def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
     """Which of the two is better, with the interval of the difference."""
     names = first.name, second.name
+    if all(row.count and row.rms[0] == row.rms[1] and row.median[0] == row.median[1] for row in rows):
+        return Answer(WARNING, f'No difference between {names[0]} and {names[1]}: all their errors are equal.', [], [],
+                      [Step('Use either: the filter does the same with both.')])
     verdict = comparison_verdict(first, second, rows)
     wrong = [_why_unpaired(rows)] if not all(row.count for row in rows) else []
     wrong += [f'{r.name} was fitted to this recording, where a smaller error proves nothing. Compare on another drive.'

@@ -47,6 +47,8 @@ def problem_of_samples(imu: np.ndarray, config: FilterConfig) -> str:
     if imu[-1, 0] - imu[0, 0] > 1.0 and not LEAST_GRAVITY < size < MOST_GRAVITY and (
             not level or abs(size - 1.0) < 0.1):
         unit = "in g; set imu.acceleration_unit to 'g'" if 1.0 / MOST_G < size < MOST_G else 'a wrong unit or scale'
+        if not level and size < LEAST_GRAVITY:
+            unit += ', or gravity is removed from it, which strapdown needs'
         return (f'a possible specific force on {topic}: linear_acceleration is {size:.3f} m/s^2 over a second, '
                 f'gravity included: {unit}')
     if not level and size > 5.0 and -mean[2] < math.cos(LARGEST_MOUNTING_TILT) * size:
