@@ -265,6 +265,17 @@ def test_one_that_is_too_slow_to_make_a_way_is_used():
     assert counts.get(Verdict.AWAITED, 0) <= 1 and counts[Verdict.USED] > 20, counts
 
 
+def test_a_velocity_waits_for_the_first_ways_and_a_speed_that_fits_does_not():
+    recording = drive(2)
+    for name, waits in (('velocity', True), ('speed', False)):
+        samples = Aiding({name: recording.streams()[name]})
+        measured = run(config(name), recording.imu, recording.gnss, samples).measured
+        event = measured.event[measured.kind == KINDS[name]]
+        first = event[:40 if waits else 160, Event.VERDICT] == Verdict.AWAITED  # eight seconds
+        assert first[:10].all() if waits else first.mean() < 0.1
+        assert not (event[150 if waits else 600:, Event.VERDICT] == Verdict.AWAITED).any()
+
+
 @pytest.mark.parametrize('name', ['speed', 'twist'])
 @pytest.mark.parametrize('more', [3.0, -4.0])
 def test_wheels_that_slip_without_fixes_are_refused_at_once_and_used_again(name, more):

@@ -38,6 +38,10 @@ SLIPPED = 5.0
 #: the same of a magnetic field, which iron beside the road disturbs every day, and of a further receiver, which
 #: reflections take away
 NARROW_GATE = 4.0
+#: m/s: least sigma of a speed before its displacement has been compared with that of the fixes, whatever it claims
+UNCOMPARED_SIGMA = 0.1
+#: rad, the same of a heading: antennas that are exchanged, a compass beside iron
+UNCOMPARED_HEADING_SIGMA = 0.3
 #: sigmas: a limit that refuses every measurement of an input
 REFUSE_ALL = 1e-9
 #: s for which errors of a speed, velocity or odometry last: manoeuvres in which wheels slip and late stamps show, the
@@ -102,6 +106,8 @@ def factor_and_limits(mem, r, at, n, dimensions):
     own, kind, time = input_at(mem, r, at), int(mem[at + Event.KIND]), mem[at + Event.TIME]
     _note_wrong_displacement(mem, r, at, n)
     since = time - mem[own + Noise.SCALE + Scale.TIME]
+    if not is_contradicted(mem, r, at) and _is_uncompared(mem, r, at):
+        return _before_comparison(mem, at, own, since)
     correlation = SPEED_CORRELATION if is_of_velocity(kind) else FIELD_CORRELATION if kind == Kind.MAGNETIC else 0.0
     density = _repeated(correlation, since)
     claimed = mem[at + Event.R_NN] if dimensions == 1 else 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
@@ -160,6 +166,28 @@ def factor_and_limits(mem, r, at, n, dimensions):
     if factor > before and not confirmed and squared >= ROBUST * ROBUST * (before * claimed + variance):
         _make_state_uncertain(mem, n, dimensions, (factor - before) * claimed)
     return factor, density, 0.0
+
+
+@njit(_nrt=False)
+def _is_uncompared(mem, r, at):
+    """Whether the input at `at` has to wait for a comparison with displacements between fixes, which come."""
+    kind, time = int(mem[at + Event.KIND]), mem[at + Event.TIME]
+    # of the start, too, after which the first has still to come
+    fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
+    return ((is_of_velocity(kind) or kind == Kind.HEADING) and fix != 0.0 and time - fix < LONGEST_WITHOUT_FIX
+            and not displacement.is_compared(mem, input_at(mem, r, at)))
+
+
+@njit(_nrt=False)
+def _before_comparison(mem, at, own, since):
+    """Factor, how many tell no more than one, and gate of an input that has not been compared with fixes yet."""
+    kind, first, correlation = int(mem[at + Event.KIND]), UNCOMPARED_SIGMA, SPEED_CORRELATION
+    if kind == Kind.HEADING:  # what is wrong with it does not change from one to the next
+        first, correlation = UNCOMPARED_HEADING_SIGMA, FIELD_CORRELATION
+    mem[own + Noise.SCALE + Scale.TIME] = mem[at + Event.TIME]
+    # a velocity may fit by its size and point elsewhere
+    gate = REFUSE_ALL if kind == Kind.VELOCITY else ROBUST
+    return max(1.0, first**2 / mem[at + Event.R_NN]), _repeated(correlation, since), gate
 
 
 @njit(_nrt=False)
