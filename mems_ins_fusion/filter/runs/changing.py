@@ -7,8 +7,8 @@ filter, which does not contain the finding that was applied, continues in parall
 when a driver is restarted, this filter is better within seconds and takes over at once. Before this is certain, the
 published estimate goes over to it (`ParallelFilter.share`) and its covariance covers both. Where the fixes jump, a copy
 of the present filter goes on without the finding (`ChangingFilter._branch`): an antenna that is moved is shown by the
-jump itself, before the turn that both filters need. What is published does not jump (blending.py). All decisions depend only on stamps and values of the inputs: live and in a replay the filters
-change at the same sample.
+jump itself, before the turn that both filters need. What is published does not jump (blending.py). All decisions depend
+only on stamps and values of the inputs: live and in a replay the filters change at the same sample.
 """
 from __future__ import annotations
 
