@@ -5,10 +5,10 @@ trial it is started in advance. The innovations of the fixes in both filters are
 new filter takes over once it is shown to be better, or once it is about as certain as the present one. The replaced
 filter, which does not contain the finding that was applied, continues in parallel: if the finding becomes wrong, as
 when a driver is restarted, this filter is better within seconds and takes over at once. Before this is certain, the
-published estimate goes over to it (`ParallelFilter.weight`) and its covariance covers both. Where the fixes jump, a copy
-of the present filter goes on without the finding (`ChangingFilter._branch`): an antenna that is moved is shown by the
-jump itself, before the turn that both filters need. What is published does not jump (blending.py). All decisions depend
-only on stamps and values of the inputs: live and in a replay the filters change at the same sample.
+published estimate goes over to it (`ParallelFilter.weight`) and its covariance covers both. Where the fixes jump, a
+copy of the present filter goes on without the finding (`ChangingFilter._branch`): an antenna that is moved is shown by
+the jump itself, before the turn that both filters need. What is published does not jump (blending.py). All decisions
+depend only on stamps and values of the inputs: live and in a replay the filters change at the same sample.
 """
 from __future__ import annotations
 
