@@ -133,7 +133,7 @@ def with_table(page: str, reports: list[tuple[dict, float | None]], commit: str)
     counts = [outage['count'] for report, _ in reports for outage in report['outages']]
     page = _TABLE.sub(lambda found: found[1] + new, page)
     page = _COUNTS.sub(f'over {min(counts)} to {max(counts)} such', page)
-    return _COMMIT.sub(commit, page)
+    return _COMMIT.sub(commit, page, count=1)  # that of the first table
 
 
 def measured(folder: Path) -> None:
