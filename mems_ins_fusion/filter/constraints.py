@@ -216,7 +216,7 @@ def _constrain_motion(mem, r, at, n, h, dimensions, since, measured):
             continue
         if prior <= omitted:
             continue
-        # R is raised until the normalized innovation is ROBUST
+        # R is raised until the normalized innovation, with `omitted` in its variance, is ROBUST
         noise = max(nis / ROBUST**2, 1.0) * s - prior - omitted - (1.0 - _variance_factor(since)) * variance
         noise = max(noise, prior * omitted / (prior - omitted))
         correct_by_scalar(mem, r, n, h + n * k, column, z, prior + noise)

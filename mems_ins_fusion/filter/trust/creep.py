@@ -42,6 +42,9 @@ CREEP_VARIANCE = 0.5 * (CREEP_SPEED**2 + CREEP_SCATTER**2)
 #: s after the latest zero-velocity update for which the hypothesis is kept: after that the vehicle has probably turned.
 #: Chosen, not measured
 LONGEST_CREEP = 60.0
+#: s, longest interruption of its quiet after which a creep goes on: a few times CREEP_TIME. After minutes of driving
+#: without fixes another standstill has nothing to do with it. Chosen, not measured
+LONGEST_INTERRUPTION = 10.0
 #: s for which standstills are not used after a creep that was taken for a standstill: time to learn the level of
 #: motion. Chosen, not measured
 MOTION_TIME = 60.0
@@ -51,14 +54,16 @@ MOTION_TIME = 60.0
 def note_standstill(mem, r, p, n, since, quiet, odds):
     """Begin the hypothesis with the first zero-velocity update of a standstill, to be applied to the state at r.
 
-    One that fixes have not excluded goes on: a creep is often quiet with interruptions of some seconds, and the state
-    is off by all of them.
+    One that fixes have not excluded goes on over an interruption of some seconds: a creep is often not quiet for all of
+    its time, and the state is off by all of it.
 
     p: position of P, of n states; the update moves the position by what it has in common with the velocity, too. since:
     s since the previous application of a constraint. quiet: s for which the vehicle has been as quiet as at rest. odds:
     `standstill.odds_of_standing`; they rise during the standstill.
     """
-    if mem[r + Creep.ODDS] > 0.0 and (stands(mem, r) or mem[r + Creep.ODDS] < UNNOTICED_START):
+    interruption = mem[r + Nav.TIME] - mem[r + Standing.TIME]
+    goes_on = mem[r + Creep.ODDS] < UNNOTICED_START and interruption < LONGEST_INTERRUPTION
+    if mem[r + Creep.ODDS] > 0.0 and (stands(mem, r) or goes_on):
         mem[r + Creep.ODDS] *= (CREEP_TIME + quiet) / (CREEP_TIME + quiet - since)
         return
     v, w = velocity_state(mem), velocity_state(mem) + 1
