@@ -19,7 +19,7 @@ LEAST_GRAVITY = 6.0
 #: m/s^2, the largest: the same, and braking
 MOST_GRAVITY = 14.0
 MOST_G = 2.0  # a mean specific force from 1 / MOST_G to MOST_G is reported as one in g
-#: the same where gravity may be missing: from 1 minus this to 1 plus this, as a gentle acceleration is of this size, too
+#: the same where gravity may be missing: from 1 minus this to 1 plus this, as accelerations are of such sizes, too
 LEVEL_G = 0.1
 #: rad from straight forward or backward: no vehicle with wheels drives off in other directions
 SIDEWAYS = math.radians(45.0)
