@@ -38,10 +38,10 @@ REFITTED = 3  # number of iterations of a fit that starts near its maximum
 def sigmas(model: FittedModel, track: Offset | None, given: Mapping) -> np.ndarray:
     """Standard deviations (p,) of the unknowns of `model`, for the decision on effects and for the report.
 
-    track, given: as for `with_what_is_held`. What the track (`Offset.undecided`) and what the fit (`of_smoothing`) cannot
-    tell from smoothing are added as squares. They are of one cause, so this is too much by up to a factor of 1.4 where
-    they agree; but smoothing has other forms than these fits know: with both, errors of offsets are 1.2 sigma (RMS)
-    for receivers that smooth (measured when `of_smoothing` came), so less would be less honest.
+    track, given: as for `with_what_is_held`. What the track (`Offset.undecided`) and what the fit (`of_smoothing`)
+    cannot tell from smoothing are added as squares. They are of one cause, so this is too much by up to a factor of 1.4
+    where they agree; but smoothing has other forms than these fits know: with both, errors of offsets are 1.2 sigma
+    (RMS) for receivers that smooth (measured when `of_smoothing` came), so less would be less honest.
     """
     receiver = [math.hypot(of_receiver(model, track), of_smoothing(model, given))
                 if u.effect == 'gnss_time_offset' and not u.noise else 0.0 for u in model.unknowns]
