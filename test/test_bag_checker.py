@@ -178,7 +178,7 @@ def test_accelerometers_in_other_units(sound, factor, unit, rest):
 
 
 def test_gravity_that_is_removed_or_wrong(sound):
-    assert finding(with_imu(sound, specific_force=sound.imu.specific_force - (0, 0, G)), 'gravity seems to be removed',
+    assert finding(with_imu(sound, specific_force=sound.imu.specific_force - (0, 0, G)), 'driver has removed gravity',
                    ERROR)
     assert finding(with_imu(sound, specific_force=sound.imu.specific_force * 1.3), 'unit or scale', ERROR)
     assert finding(with_imu(sound, specific_force=sound.imu.specific_force * 1.05), 'a large bias or scale error')

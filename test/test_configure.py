@@ -114,7 +114,7 @@ def test_a_bias_of_the_gyroscope_is_no_sideways_motion():
     for made in (biased, plain):
         found = estimate_mounting(made.imu, made.gnss, lag=0.0)
         seen.append([found.turned, assess_vehicle(made.imu, np.zeros(len(made.imu), bool), found, 1.0).sideways])
-    # then it goes where it points, to the same decimetre per second, and has turned by the same angle
+    # then it goes where it points, and has turned by the same angle, each to 10 %
     assert seen[0] == pytest.approx(seen[1], rel=0.1)
     assert seen[0][1] < 0.5
 

@@ -356,7 +356,7 @@ def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
     mem[Integral.TIME] = 60.0
     displacement._begin(mem, 0, 2.0)
     # distance north and east, share
-    x, p = np.zeros(4), np.diag([2.0, 2.0, displacement.PRIOR, displacement.PRIOR])
+    x, p = np.zeros(4), np.diag([2.0, 2.0, displacement.ERROR_PRIOR, displacement.ERROR_PRIOR])
     h, last = np.eye(2, 4), np.zeros(2)
     off = -rng.normal(0.0, np.sqrt(2.0), 2)  # true distance, where the one at the first fix is measured as zero
     for k in range(60):
@@ -370,13 +370,13 @@ def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
         f = np.eye(4)
         f[:2, 2:] = [[gone.real, -gone.imag], [gone.imag, gone.real]]
         wandered = p.copy()
-        wandered[[2, 3], [2, 3]] = np.minimum(wandered[[2, 3], [2, 3]] + displacement.WALK * 8.0,
-                                              displacement.PRIOR)
+        wandered[[2, 3], [2, 3]] = np.minimum(wandered[[2, 3], [2, 3]] + displacement.ERROR_WALK * 8.0,
+                                              displacement.ERROR_PRIOR)
         x, p = f @ x, f @ wandered @ f.T + np.diag([0.05, 0.05, 0.0, 0.0])
         gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + 2.0 * np.eye(2))
         x, p = x + gain @ (measured - h @ x), p - gain @ h @ p
         np.testing.assert_allclose(mem[Integral.RELATIVE_ERROR:Integral.RELATIVE_ERROR + 2], x[2:], atol=1e-9)
-        np.testing.assert_allclose([mem[Integral.DISTANCE_VARIANCE], displacement.PRIOR - mem[Integral.REDUCED]],
+        np.testing.assert_allclose([mem[Integral.DISTANCE_VARIANCE], displacement.ERROR_PRIOR - mem[Integral.REDUCED]],
                                    p[[0, 2], [0, 2]])
     assert displacement.is_compared(mem, 0)
     np.testing.assert_allclose(mem[Integral.RELATIVE_ERROR:Integral.RELATIVE_ERROR + 2], [0.04, 0.1],
@@ -569,7 +569,7 @@ def test_the_direction_of_a_heading_is_compared_and_the_length_of_a_speed(kind, 
     # given a way that is so many times the one of the fixes, and turned; with a sigma of nearly nothing
     mem = np.zeros(INPUT_SIZE)
     mem[Integral.RELATIVE_ERROR:Integral.RELATIVE_ERROR + 2] = np.real(ratio) - 1.0, np.imag(ratio)
-    mem[Integral.REDUCED] = displacement.PRIOR - 1e-12
+    mem[Integral.REDUCED] = displacement.ERROR_PRIOR - 1e-12
     assert off == 0.0 or displacement.differs(mem, 0, kind, off - 0.01)
     assert not displacement.differs(mem, 0, kind, off + 0.01)
 
@@ -594,7 +594,7 @@ def test_one_fix_that_is_far_off_is_passed_over_and_two_are_another_speed():
     # given a fix that is 30 m off, after which the next one is right again
     mem = compared([40.0, -20.0, 10.0], right.copy())
     np.testing.assert_allclose(mem[Integral.RELATIVE_ERROR], 0.0, atol=1e-3)
-    assert displacement.is_compared(mem, 0) and mem[Integral.REDUCED] > 0.9 * displacement.PRIOR
+    assert displacement.is_compared(mem, 0) and mem[Integral.REDUCED] > 0.9 * displacement.ERROR_PRIOR
     mem[Integral.TIME] = 40.0
     compared([10.0] * 3, mem)
     assert mem[Integral.COMPARED] == 30.0  # since then
@@ -648,7 +648,7 @@ def test_what_an_input_has_misled_is_undone_for_as_long_as_it_was_believed(belie
     mem[Head.WIDTH], mem[Head.LATERAL_SIGMA] = 1500, 0.3
     mem[at + Event.KIND], mem[at + Event.INPUT], mem[at + Event.TIME] = Kind.VELOCITY, 1, 100.0
     mem[own + Integral.START], mem[own + Integral.COMPARED], mem[own + Fit.TIME] = 99.0, believed, 99.9
-    mem[own + Integral.RELATIVE_ERROR], mem[own + Integral.REDUCED] = 0.5, displacement.PRIOR - 0.05**2
+    mem[own + Integral.RELATIVE_ERROR], mem[own + Integral.REDUCED] = 0.5, displacement.ERROR_PRIOR - 0.05**2
     inputs._note_wrong_displacement(mem, r, at, 15)
     # then all fixes are used for as long, 20 s at most
     assert mem[r + Nav.USE_ALL_FIXES] == pytest.approx(lasts)

@@ -115,7 +115,7 @@ def test_accuracies_that_septentrio_does_not_know_are_none():
     ({'flags': 131}, 2), ({'flags': 67}, 1), ({'flags': 3}, 1), ({'flags': 1}, 0), ({'flags': 130}, -1),
     ({'fix_type': 0}, -1), ({'fix_type': 1}, -1), ({'fix_type': 5}, -1), ({'fix_type': 2}, 2), ({'num_sv': 2}, -1),
     ({'reserved1': [4 << 1, 0, 0, 0, 0, 0]}, 2), ({'reserved1': [5 << 1, 0, 0, 0, 0, 0]}, 1),
-    ({'reserved1': [0, 0, 0, 0, 0, 0]}, 2)])
+    ({'reserved1': [0, 0, 0, 0, 0, 0]}, 2), ({'reserved1': [3 << 1 | 1, 0, 0, 0, 0, 0]}, -1)])
 def test_ublox_tells_float_from_fixed_and_old_corrections(fields, expected):
     fix = nav_pvt(**fields)
     assert fix.status == expected

@@ -144,6 +144,20 @@ def test_outages_that_begin_at_other_fixes_are_said_to_be_so():
     assert 'the outages of the two begin at other fixes' in wrong and 'too few epochs' not in wrong
 
 
+@pytest.mark.parametrize('held', [10, 7])
+def test_equal_errors_in_other_ellipses_are_not_the_same(held):
+    # given two replays with equal errors, of which the second holds 10 or 7 of 10 outages in its ellipse
+    error = np.abs(np.random.default_rng(1).standard_normal(50)) + 1.0
+    first, second = result('a', error), result('b', error)
+    for one, count in ((first, 10), (second, held)):
+        one.outages['drive', 'random_walk', 10.0] = ErrorSeries(30 * 10**9 * np.arange(10), error[:10],
+                                                                within=np.arange(10) < count, nees=np.ones(10))
+    # then only with the same ellipses does the filter do the same
+    told = answer(first, second, rows_of(first, second))
+    assert 'all their errors are equal' in told.headline
+    assert ('does the same with both' in told.steps[0].what) == (held == 10)
+
+
 def test_replays_of_different_drives_are_sent_to_the_same_one():
     # given two replays without one epoch in common, as those of two drives whose folders have the same name
     error = np.abs(np.random.default_rng(1).standard_normal(50)) + 1.0

@@ -121,11 +121,13 @@ def test_a_receiver_without_a_position_is_not_fine(monkeypatch):
 
 
 @pytest.mark.parametrize('mechanization, size, advice', [
-    ('strapdown', 9.9, ''), ('strapdown', 1.0, "set imu.acceleration_unit to 'g', or gravity is removed"),
-    ('strapdown', 0.2, 'a wrong unit, or a scale error, or gravity is removed'), ('strapdown', 40.0, 'a wrong unit'),
-    ('planar', 0.2, ''), ('planar', 40.0, 'a wrong unit')])
+    ('strapdown', 9.9, ''), ('strapdown', 40.0, 'a wrong unit'), ('planar', 0.2, ''), ('planar', 2.0, ''),
+    ('strapdown', 1.0, "in g; set imu.acceleration_unit to 'g', or the driver has removed gravity"),
+    ('strapdown', 0.2, 'a wrong unit or scale, or the driver has removed gravity'),
+    ('planar', 1.0, "in g; set imu.acceleration_unit to 'g'"), ('planar', 5.0, 'a wrong unit'),
+    ('planar', 40.0, 'a wrong unit')])
 def test_an_imu_without_gravity_is_told_where_gravity_is_needed(mechanization, size, advice):
     # given samples of a driver that removes gravity, then neither is another unit the only advice, nor one of mounting
     said = preflight._units(np.array([0.0, 0.0, size]), mechanization)[1]
     assert said.startswith(advice) and bool(said) == bool(advice)
-    assert ('gravity is removed' in said) == (mechanization == 'strapdown' and size < 6.0)
+    assert ('has removed gravity' in said) == (mechanization == 'strapdown' and size < 6.0)

@@ -30,7 +30,7 @@ LONGEST_SMOOTHING = 10.0  # s, longest time over which a receiver smooths its po
 #: decimetres for a car in town, hardly more than the scatter of its fixes, and each next one adds about as much
 SMOOTHINGS = 0.5, 0.8, 1.1, 1.5, 2.0
 #: difference of log likelihood to the best smoothing, from which on one is excluded, and each longer one: it would have
-#: 1 % of the weight
+#: less than 1 % of the weight of the best
 EXCLUDED = 5.0
 REFITTED = 3  # number of iterations of a fit that starts near its maximum
 
@@ -38,7 +38,10 @@ REFITTED = 3  # number of iterations of a fit that starts near its maximum
 def sigmas(model: FittedModel, track: Offset | None, given: Mapping) -> np.ndarray:
     """Standard deviations (p,) of the unknowns of `model`, for the decision on effects and for the report.
 
-    track, given: as for `with_what_is_held`.
+    track, given: as for `with_what_is_held`. What the track (`Offset.undecided`) and what the fit (`of_smoothing`)
+    cannot tell from smoothing are added as squares. They are of one cause, so this is too much by up to a factor of 1.4
+    where they agree; but smoothing has other forms than these fits know: with both, errors of offsets are 1.2 sigma
+    (RMS) for receivers that smooth (measured when `of_smoothing` came), so less would be less honest.
     """
     receiver = [math.hypot(of_receiver(model, track), of_smoothing(model, given))
                 if u.effect == 'gnss_time_offset' and not u.noise else 0.0 for u in model.unknowns]

@@ -36,16 +36,15 @@ from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_upd
 #: errors
 CONSTRAINT_INTERVAL = 0.1
 #: the non-holonomic constraint has noise of constant density, so where the IMU is slower than CONSTRAINT_INTERVAL each
-#: application has a smaller variance. This is the largest divisor of the variance, reached at 5 Hz. Chosen; a quarter
-#: and four times of it move little (docs/ablation.md)
+#: application has a smaller variance. This is the largest divisor of the variance, reached at 5 Hz. Chosen, not
+#: measured
 LARGEST_DIVISOR = 2.0
 #: rad/s: a standstill that the accelerometers show is accepted only if the turn rate is below this (plus three sigma,
 #: added as squares). A robot that turns on the spot
 #: about its IMU is at rest for the accelerometers; its turns take 40 s at the most, which is this rate. A smaller error
 #: of a gyroscope is accepted as a standstill, so that it is corrected there
 STILL_RATE = 0.15
-#: s, time constant of the mean NIS of the non-holonomic constraint. Chosen; a quarter and four times of it move little
-#: (docs/ablation.md)
+#: s, time constant of the mean NIS of the non-holonomic constraint. Chosen, not measured
 CONSTRAINT_MEMORY = 10.0
 #: mean NIS above which the constraint is switched off; a vehicle that satisfies the constraint has 1
 CONSTRAINT_OFF = 6.0

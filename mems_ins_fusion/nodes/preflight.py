@@ -9,6 +9,7 @@ from statistics import median
 import numpy as np
 
 from ..filter.config import AHEAD
+from ..filter.start.plausibility import is_in_g, why_not_gravity
 from ..navigation.earth import STANDARD_GRAVITY
 from ..navigation.frames import rotation_from_rpy
 from .inputs import Input
@@ -24,8 +25,9 @@ _OTHER_CLOCK = 1.0
 _NEWER = -0.1
 #: m/s^2 by which the mean specific force may differ from gravity: braking, a bias
 _GRAVITY = 1.5
-#: m/s^2, largest mean specific force over a second of an IMU that delivers the acceleration alone: hard braking
-_WITHOUT_GRAVITY = 6.0
+#: m/s^2, largest mean specific force over a second of an IMU that delivers the acceleration alone: braking. Hard
+#: braking is more, but seldom when a node has just been started
+_WITHOUT_GRAVITY = 4.0
 #: rad by which its direction may differ from the vertical: a slope, a turn
 _TILT = math.radians(15.0)
 
@@ -118,10 +120,6 @@ def _older(seconds: float) -> str:
 
 def _units(force, mechanization: str) -> tuple[str, str]:
     size = float(np.linalg.norm(force))
-    seen = f'linear_acceleration is {size:.2f} m/s^2, gravity included'
-    if abs(size - STANDARD_GRAVITY) < _GRAVITY or mechanization == 'planar' and size < _WITHOUT_GRAVITY:
-        return seen, ''
-    advice = "set imu.acceleration_unit to 'g'" if abs(size - 1.0) < 0.2 else 'a wrong unit, or a scale error'
-    if size < _WITHOUT_GRAVITY:
-        advice += ', or gravity is removed from it, which strapdown needs: publish the raw specific force'
-    return seen, advice
+    level = mechanization == 'planar'
+    fine = abs(size - STANDARD_GRAVITY) < _GRAVITY or level and size < _WITHOUT_GRAVITY and not is_in_g(size, level)
+    return f'linear_acceleration is {size:.2f} m/s^2', '' if fine else why_not_gravity(size, level)

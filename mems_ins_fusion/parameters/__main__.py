@@ -21,10 +21,12 @@ Few. The filter estimates or learns most of what the others describe, and begins
 2. *What the vehicle has or is:* `gnss.time_offset` (`configure` finds it), `speed_topic` and other inputs,
    `vehicle.non_holonomic: false` for what moves sideways (`config/boat.yaml`), `vehicle.zero_velocity: false` for what
    moves as quietly as it stands, `alignment.heading` for what is too slow for a course (`config/robot.yaml`).
-3. *Noise* is worth less: on three measured drives white noise of a quarter or four times changed errors without fixes
-   by a tenth at most, slow errors stated four times too large by up to six tenths, and a time offset that is half a
-   second wrong made them two to three times as large ([each of them](ablation.md#a-params-file-that-is-wrong)).
-   `configure`, [`diagnose`](closing_the_loop.md) and [`characterize`](characterize.md) write the noise.
+3. *Noise* is worth less: on three measured drives white noise of the IMU of a quarter or four times changed errors
+   without fixes by a tenth at most. More, at worst five to seven tenths on one of the drives, cost slow errors or
+   `vehicle.non_holonomic_sigma` stated four times too large, and a `gnss.sigma` of a fifth (with 96 % in the ellipse)
+   or five times. For comparison: a time offset that is half a second wrong made errors two to three and a half times as
+   large ([each of them](ablation.md#a-params-file-that-is-wrong)). `configure`, [`diagnose`](closing_the_loop.md) and
+   [`characterize`](characterize.md) write the noise.
 4. *The rest* are limits and sigmas for rare cases: leave them."""
 
 _TABLES = (('Filter', FILTER), ('fusion_node', FUSION), ('replay_node', REPLAY))

@@ -259,8 +259,8 @@ def _check_gravity(imu, still, expected, units: Units, declared, values):
         yield Remark(WARNING if doubtful else INFO, 'imu', text, seen)
     elif magnitude < 0.2 * expected:
         severity = INFO if values.get('mechanization') == 'planar' else ERROR  # planar needs no gravity
-        yield Remark(severity, 'imu', f'{text}: gravity seems to be removed from it, which '
-                     'strapdown needs (planar does not), or the unit is wrong', seen)
+        yield Remark(severity, 'imu', f'{text}: the unit is wrong, or the driver has removed gravity; strapdown needs '
+                     'it in the samples (planar does not)', seen)
     else:
         yield Remark(ERROR, 'imu', f'{text}: unit or scale is wrong', seen)
     mounting = values.get('imu.mounting_rpy')

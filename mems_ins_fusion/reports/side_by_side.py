@@ -216,7 +216,9 @@ def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
     names = first.name, second.name
     if all(row.count and row.rms[0] == row.rms[1] and row.median[0] == row.median[1] for row in rows):
         return Answer(WARNING, f'No difference between {names[0]} and {names[1]}: all their errors are equal.', [], [],
-                      [Step('Use either: the filter does the same with both.')])
+                      [Step('Use either: the filter does the same with both.'
+                            if all(row.within[0] == row.within[1] for row in rows) else
+                            'Use the one whose ellipse holds more nearly 95 % of its errors (see the table).')])
     verdict = comparison_verdict(first, second, rows)
     wrong = [_why_unpaired(rows)] if not all(row.count for row in rows) else []
     wrong += [f'{r.name} was fitted to this recording, where a smaller error proves nothing. Compare on another drive.'

@@ -39,6 +39,7 @@ _FIX_OK, _DIFFERENTIAL = 0b1, 0b10  # bits of `NavPVT.flags`; its highest two ar
 _FIX_TYPES = 2, 3, 4  # `NavPVT.fix_type` with a position: 2D, 3D, with dead reckoning
 #: smallest `lastCorrectionAge` (bits 1 to 4 behind `NavPVT.p_dop`) of more than OLDEST_CORRECTIONS; 0: unknown
 _OLD_CODE = 5
+_INVALID = 0b1  # bit of the same byte, `invalidLlh`: latitude, longitude and height are not to be used
 
 #: fields that are needed of each
 FIELDS = {
@@ -88,13 +89,15 @@ def _of_pvt_geodetic(fields):
 def _of_nav_pvt(fields):
     """The message has no stamp: its UTC is taken, as its driver does for NavSatFix. Without UTC it is no fix. Its
     accuracies are taken for standard deviations, as its driver does."""
-    flags, old = (np.asarray(fields[name]).astype(int) for name in ('flags', 'reserved1'))
+    flags, reserved = (np.asarray(fields[name]).astype(int) for name in ('flags', 'reserved1'))
+    more = reserved[:, 0]  # `flags3` of later receivers
     ambiguities = flags >> 6
     status = np.where(ambiguities == 2, 2, (ambiguities == 1) | (flags & _DIFFERENTIAL > 0)).astype(np.int8)
-    status[(status == 2) & (old[:, 0] >> 1 & 15 >= _OLD_CODE)] = 1
+    status[(status == 2) & (more >> 1 & 15 >= _OLD_CODE)] = 1
     _refuse_few(status, np.asarray(fields['num_sv']))
     known = np.asarray(fields['valid']).astype(int) & _HAS_UTC == _HAS_UTC
-    status[~known | (flags & _FIX_OK == 0) | ~np.isin(fields['fix_type'], _FIX_TYPES)] = -1
+    has_position = (flags & _FIX_OK > 0) & (more & _INVALID == 0) & np.isin(fields['fix_type'], _FIX_TYPES)
+    status[~known | ~has_position] = -1
     return {**_filled(status, 1e-7 * np.asarray(fields['lat'], dtype=float),
                       1e-7 * np.asarray(fields['lon'], dtype=float), 1e-3 * np.asarray(fields['height'], dtype=float),
                       *(1e-3 * np.asarray(fields[name], dtype=float) for name in ('h_acc', 'v_acc'))),

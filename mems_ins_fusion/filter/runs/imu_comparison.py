@@ -16,9 +16,9 @@ from .imu_memory import (
     CHANGED,
     COMPARED_WINDOW,
     DIFFERS,
+    FEWEST_BEYOND,
     KEPT_SAMPLES,
     NOISIER,
-    ONE_CHANGE,
     QUICK,
     SILENT,
     SLOW,
@@ -103,7 +103,7 @@ def _compare_one(book, j, leader, c, later, earlier, part):
         k = _largest(book, j, leader, book.quick)
         limit = _limit(book, j, leader, k)
         book.beyond[j] = book.beyond[j] + 1 if abs(book.quick[j, k]) > limit else 0
-        if book.beyond[j] * ONE_CHANGE > 1.0:  # after fewer it may be noise that has just begun
+        if book.beyond[j] >= FEWEST_BEYOND:
             _differs(book, j, k, book.quick[j, k], limit)
     if book.window[j] < 0.0:
         book.count[j] = 0.0

@@ -37,6 +37,10 @@ NOISIER = 10.0
 #: that begins by a jump is not noise, and neither it nor a single sample that is off, which is two changes, may count
 #: as an IMU that has become NOISIER
 ONE_CHANGE = 0.4
+#: number of differences in a row beyond their limit from which on an IMU is one that differs: the smallest number of
+#: changes that together are more than NOISIER squared (3). Noise that has just begun is beyond the limit, too, and
+#: counts as noise by then
+FEWEST_BEYOND = int(1.0 / ONE_CHANGE) + 1
 #: codes of the messages, see `Imus._worded`
 ALONE, LEADS, AVERAGED, CHANGED, DIFFERS, NOISY = range(6)
 

@@ -28,8 +28,9 @@ BETTER_KNOWN = 5.0
 LATE = 0.05
 #: and by more than this many standard deviations: the check is repeated all day
 LATE_SIGMAS = 4.0
-#: m by which an antenna may be off where the params file has none of its arms: at the usual speed of the vehicle, less
-#: than this is no time offset but maybe an arm, forward, which looks the same at a constant speed
+#: m by which an antenna may be off where the params file lacks its arm, or of a further receiver one of the two (zero:
+#: an antenna that is at the IMU cannot be stated): at the usual speed of the vehicle, less than this is no time offset
+#: but maybe an arm, forward, which looks the same at a constant speed
 UNSTATED_ARM = 1.0
 #: s of sideways motion in total above which the vehicle has no wheels, or turns on the spot. Chosen, not measured
 LONGEST_SIDEWAYS = 5.0

@@ -19,6 +19,8 @@ LEAST_GRAVITY = 6.0
 #: m/s^2, the largest: the same, and braking
 MOST_GRAVITY = 14.0
 MOST_G = 2.0  # a mean specific force from 1 / MOST_G to MOST_G is reported as one in g
+#: the same where gravity may be missing: from 1 minus this to 1 plus this, as accelerations are of such sizes, too
+LEVEL_G = 0.1
 #: rad from straight forward or backward: no vehicle with wheels drives off in other directions
 SIDEWAYS = math.radians(45.0)
 #: s over which the speed is the distance between fixes: their noise is small beside it, and a bend hardly shorter
@@ -45,17 +47,26 @@ def problem_of_samples(imu: np.ndarray, config: FilterConfig) -> str:
     size = float(np.linalg.norm(mean))
     level = config.layout.is_level  # the vertical axis may be missing
     if imu[-1, 0] - imu[0, 0] > 1.0 and not LEAST_GRAVITY < size < MOST_GRAVITY and (
-            not level or abs(size - 1.0) < 0.1):
-        unit = "in g; set imu.acceleration_unit to 'g'" if 1.0 / MOST_G < size < MOST_G else 'a wrong unit or scale'
-        if not level and size < LEAST_GRAVITY:
-            unit += ', or gravity is removed from it, which strapdown needs'
-        return (f'a possible specific force on {topic}: linear_acceleration is {size:.3f} m/s^2 over a second, '
-                f'gravity included: {unit}')
+            not level or is_in_g(size, level)):
+        return (f'a possible specific force on {topic}: linear_acceleration is {size:.3f} m/s^2 over a second: '
+                f'{why_not_gravity(size, level)}')
     if not level and size > 5.0 and -mean[2] < math.cos(LARGEST_MOUNTING_TILT) * size:
         tilt = math.degrees(math.acos(max(-1.0, min(1.0, -mean[2] / size))))
         return (f'an IMU that is mounted as imu.mounting_rpy says: gravity on {topic} is {tilt:.0f} deg off the '
                 'vertical of the vehicle (`configure` finds the mounting from a recording)')
     return ''
+
+
+def is_in_g(size: float, level: bool) -> bool:
+    """Whether a mean specific force, m/s^2, is likely gravity in g. level: whether its vertical axis may be missing."""
+    return abs(size - 1.0) < LEVEL_G if level else 1.0 / MOST_G < size < MOST_G
+
+
+def why_not_gravity(size: float, level: bool) -> str:
+    """Causes of a mean specific force, m/s^2, that is not gravity. level: as for `is_in_g`."""
+    unit = "in g; set imu.acceleration_unit to 'g'" if is_in_g(size, level) else 'a wrong unit or scale'
+    removed = not level and size < LEAST_GRAVITY
+    return unit + (', or the driver has removed gravity; strapdown needs it in the samples' if removed else '')
 
 
 def is_backwards(angle: float) -> bool:

@@ -42,14 +42,14 @@ Integral = INPUT.place(
     DISTANCE_VARIANCE=1,  # m^2, variance of the estimate,
     COVARIANCE=2,  # m, and its covariance with the relative error
     RELATIVE_ERROR=2,  # by which its displacements are longer than those of the antenna, and to the side,
-    REDUCED=1,  # and PRIOR minus its variance
+    REDUCED=1,  # and ERROR_PRIOR minus its variance
     COMPARED=1,  # s, time at which the comparison was complete; 0: not yet; -1: begun anew after it was wrong
     REJECTED=1)  # number of fixes in a row that were not compared
 #: prior variance of the relative error: a speed in another unit, or of the wrong sign
-PRIOR = 1.0
+ERROR_PRIOR = 1.0
 #: 1/m, growth of the variance of the relative error with the distance travelled: slip changes with the ground, by six
 #: percent in a kilometre
-WALK = 4e-6
+ERROR_WALK = 4e-6
 #: standard deviation of a displacement within a second over its length: bends between samples, a heading error of one
 #: degree
 UNEVENNESS = 0.02
@@ -178,7 +178,7 @@ def learn(mem, own, moved, fixes, drift, noise):
     relative = complex(mem[own + Integral.RELATIVE_ERROR], mem[own + Integral.RELATIVE_ERROR + 1])
     # of distance and relative error
     covariance = complex(mem[own + Integral.COVARIANCE], mem[own + Integral.COVARIANCE + 1])
-    variance = min(PRIOR - mem[own + Integral.REDUCED] + WALK * abs(travelled), PRIOR)
+    variance = min(ERROR_PRIOR - mem[own + Integral.REDUCED] + ERROR_WALK * abs(travelled), ERROR_PRIOR)
     expected = (mem[own + Integral.DISTANCE_VARIANCE] + 2.0 * (covariance * travelled.conjugate()).real
                 + abs(travelled) ** 2 * variance + drift)
     covariance += travelled * variance
@@ -200,7 +200,7 @@ def learn(mem, own, moved, fixes, drift, noise):
     covariance *= 1.0 - gain
     left = (gain - 1.0) * innovation
     mem[own + Integral.RELATIVE_ERROR], mem[own + Integral.RELATIVE_ERROR + 1] = relative.real, relative.imag
-    mem[own + Integral.REDUCED] = PRIOR - variance
+    mem[own + Integral.REDUCED] = ERROR_PRIOR - variance
     mem[own + Integral.COVARIANCE], mem[own + Integral.COVARIANCE + 1] = covariance.real, covariance.imag
     mem[own + Integral.DISTANCE], mem[own + Integral.DISTANCE + 1] = left.real, left.imag
     mem[own + Integral.DISTANCE_VARIANCE] = gain * noise
@@ -227,7 +227,7 @@ def is_compared(mem, own):
 def squared_error(mem, own):
     """Square of the relative error that an input has, beyond what the variance of its estimate explains."""
     square = mem[own + Integral.RELATIVE_ERROR] ** 2 + mem[own + Integral.RELATIVE_ERROR + 1] ** 2
-    return max(square - 2.0 * (PRIOR - mem[own + Integral.REDUCED]), 0.0)
+    return max(square - 2.0 * (ERROR_PRIOR - mem[own + Integral.REDUCED]), 0.0)
 
 
 @njit(_nrt=False)
@@ -244,4 +244,4 @@ def differs(mem, own, kind, tolerated):
 
 @njit(_nrt=False)
 def _is_significant(mem, own, off, tolerated):
-    return off > tolerated + ERROR_SIGMAS * math.sqrt(PRIOR - mem[own + Integral.REDUCED])
+    return off > tolerated + ERROR_SIGMAS * math.sqrt(ERROR_PRIOR - mem[own + Integral.REDUCED])

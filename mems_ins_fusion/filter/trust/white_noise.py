@@ -37,8 +37,7 @@ COMPARED_OVER = 1.0
 #: order n of the difference: of a motion at a quarter of the sampling rate, 2^n / binomial(2 n, n) of the variance
 #: counts as noise
 ORDER = 6
-#: ratio of the measured to the configured noise density of a gyroscope above which it is reported. Chosen; a quarter
-#: and four times of it move little (docs/ablation.md)
+#: ratio of the measured to the configured noise density of a gyroscope above which it is reported. Chosen, not measured
 NOTEWORTHY = 5.0
 #: largest ratio of two successive intervals of evenly spaced samples; others are not evaluated. Chosen; a quarter and
 #: four times of it move little (docs/ablation.md)
