@@ -821,13 +821,13 @@ def test_a_jump_of_the_fixes_to_where_they_are_without_a_finding_shows_that_it_h
                                  (truth.latitude[k], truth.longitude[k], truth.height[k]))[:2])
     # then a filter goes on from there without it, and the published estimate with that one,
     if not after:
-        assert fusion._suspected == ['gnss_lever_arm'] and error < 0.4
+        assert fusion._suspected == 'gnss_lever_arm' and error < 0.4
     # but not where they jump beyond, although they are nearer to where they are without it all the same
     else:
         assert not fusion._suspected and not fusion._branches
 
 
-def test_the_covariance_covers_both_estimates_whatever_the_share(late, monkeypatch):
+def test_the_covariance_covers_both_estimates_whatever_the_weight(late, monkeypatch):
     # given a filter with a wrong arm of the antenna, and one without it beside it, which stand apart
     right = {**APPLY, 'gnss.time_offset': OFFSET}
     fusion = changing.ChangingFilter(FilterConfig.from_parameters({
@@ -837,9 +837,9 @@ def test_the_covariance_covers_both_estimates_whatever_the_share(late, monkeypat
     one._bets.take = lambda present, other: None
     fed(fusion, late, 0, end)
     p = slice(POSITION, POSITION + 2)
-    for share in (0.1, 0.3, 0.9):
-        # when it has this share in the published estimate
-        wealth = changing.SHOWN_BETTER / (1.0 - share)
+    for weight in (0.1, 0.3, 0.9):
+        # when it has this weight in the published estimate
+        wealth = changing.SHOWN_BETTER / (1.0 - weight)
         one._bets.take = lambda present, other, wealth=wealth: setattr(one._bets, 'pro', math.log(wealth))
         fed(fusion, late, end, end + 3 * 20)
         end += 3 * 20
@@ -849,14 +849,14 @@ def test_the_covariance_covers_both_estimates_whatever_the_share(late, monkeypat
         one.fusion.update_odometry()
         published, other = fusion.odometry, one.fusion.odometry
         assert np.linalg.norm(other[p] - own[p]) > 2.0
-        assert published[p] == pytest.approx(own[p] + share * (other[p] - own[p]), abs=1e-6)
+        assert published[p] == pytest.approx(own[p] + weight * (other[p] - own[p]), abs=1e-6)
         # then both positions are within one sigma, of pose, fused fix and trust horizon
         covariance = published[POSE_COVARIANCE:LINEAR].reshape(6, 6)[:2, :2]
         for apart in (own[p] - published[p], other[p] - published[p]):
             for covers in (covariance, fusion.position_covariance_enu.reshape(3, 3)[:2, :2]):
                 assert apart @ np.linalg.solve(covers, apart) < 1.0
         assert math.hypot(*fusion._further) == pytest.approx(
-            max(share, 1.0 - share) * np.linalg.norm(other[p] - own[p]), rel=1e-6)
+            max(weight, 1.0 - weight) * np.linalg.norm(other[p] - own[p]), rel=1e-6)
     # and what is to take over has to be as certain as the filter itself, which that does not make less certain
     compared = []
     monkeypatch.setattr(changing, '_as_sure', lambda present, *_: compared.append(present.copy()))
@@ -870,9 +870,9 @@ def test_it_is_said_once_where_the_estimate_moves_to_another_filter_and_where_it
     fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
     fusion.watch({'one': APPLY, 'two': APPLY})
 
-    def said(**shares):
+    def said(**weights):
         for name, one in fusion._beside.items():
-            one.share = lambda stamp, name=name: shares.get(name, 0.0)
+            one.weight = lambda stamp, name=name: weights.get(name, 0.0)
         fusion._compare(0)
         return [(notice.level, notice.text.split(':')[0]) for notice in fusion.notices()]
     # then it is told of the one without which the fixes are met best, once,
