@@ -188,9 +188,14 @@ class ParallelFilter:
         """Reset the comparison: both filters have to align again."""
         self._settled, self._weights = None, (0.0, 0.0)
 
+    @property
+    def log_wealth(self) -> float:
+        """Logarithm of the wealth staked on this filter."""
+        return self._bets.pro
+
     def is_better(self, wealth: float) -> bool:
         """Whether the wealth staked on this filter has reached `wealth`."""
-        return self.fusion.aligned and self._bets.pro >= math.log(wealth)
+        return self.fusion.aligned and self.log_wealth >= math.log(wealth)
 
     def weight(self, stamp: int) -> float:
         """Weight of this filter, which is without a finding, in the published estimate at `stamp`, ns: 1 less the
@@ -438,10 +443,10 @@ class ChangingFilter(WatchedFilter):
         for one in self._running:
             one.compare(self.misfits, now)
         self._branch(now)
-        wrong = next((name for some in (self._beside, self._branches) for name, one in some.items() if one.is_better(
-            SHOWN_BETTER if name in self._doubted else DROPPED)), None)
-        if wrong is not None:
-            self._drop(wrong, now)
+        better = [(name, one) for some in (self._beside, self._branches) for name, one in some.items()
+                  if one.is_better(SHOWN_BETTER if name in self._doubted else DROPPED)]
+        if better:
+            self._drop(*max(better, key=lambda found: found[1].log_wealth), now)
         elif self._next is not None:
             self._follow_up(now)
         self._say_suspected()
@@ -508,10 +513,10 @@ class ChangingFilter(WatchedFilter):
         other.update_odometry()
         return _difference(self.odometry, other.odometry)
 
-    def _drop(self, name: str, now: int) -> None:
-        """Let the filter without the finding `name` take over at once. From now on only the diagnosis watches other
-        findings."""
-        one, without = self._without_it(name), self._without.get(name)
+    def _drop(self, name: str, one: ParallelFilter, now: int) -> None:
+        """Let `one`, which is without the finding `name`, take over at once. From now on only the diagnosis watches
+        other findings."""
+        without = self._without.get(name)
         position, yaw = self._from(one.fusion)
         self._dropped.append(Dropped(name, one.since, now))
         pending, self._next = self._next is not None, None
