@@ -864,6 +864,26 @@ def test_a_doubted_finding_is_dropped_to_the_filter_that_goes_on_from_the_jump()
     assert distance_from_truth(fusion, recording.reference) < 0.3
 
 
+def test_one_second_after_a_jump_drops_nothing_whatever_is_doubted():
+    # given the filter without a finding that has run all the time, and a branch
+    beside = changing.ParallelFilter(SimpleNamespace(aligned=True, misfits={}), 0, 0)
+
+    def meets(one, number, own, present):
+        one.fusion.misfits[number] = (own, 0.0)
+        one.compare({number: (present, 0.0)}, number * SECOND)
+    for number in range(1, 30):
+        meets(beside, number, 0.1, 0.1)
+    branch = changing.ParallelFilter(SimpleNamespace(aligned=True, misfits={}), 30 * SECOND, 30, branch_of=beside)
+    # when the fixes of one second are where it predicts them, which by chance they are one time in SHOWN_BETTER
+    meets(branch, 31, 0.1, 1.4)
+    # then that is not enough, nor is a second in which both predict the same, but a bet that it wins is
+    assert not branch.is_refuted and not branch.is_better(changing.SHOWN_BETTER)
+    meets(branch, 32, 0.1, 0.1)
+    assert not branch.is_refuted and not branch.is_better(changing.SHOWN_BETTER)
+    meets(branch, 33, 0.1, 1.4)
+    assert branch.is_better(changing.SHOWN_BETTER)
+
+
 def test_the_covariance_covers_both_estimates_whatever_the_weight(late, monkeypatch):
     # given a filter with a wrong arm of the antenna, and one without it beside it, which stand apart
     right = {**APPLY, 'gnss.time_offset': OFFSET}

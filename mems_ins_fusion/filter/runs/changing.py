@@ -52,12 +52,13 @@ BEGIN_SPEED = 1.0
 #: rad, the same of the heading
 BEGIN_HEADING = math.radians(10.0)
 COMPARISON_PERIOD = 10**9  # ns from one comparison to the next
-#: wealth (betting.py) of the filter without a finding at which the finding is dropped. A useful finding is dropped at
-#: most once in this many comparisons, which are a day
+#: wealth (betting.py) of the filter without a finding above which the finding is dropped. A useful finding is dropped
+#: at most once in this many comparisons, which are a day; each branch, of which at most one begins in a comparison,
+#: counts like one more
 DROPPED = 86_400.0
-#: wealth at which a new filter takes over although it is less certain, and the filter without a finding that is doubted
-#: (`ChangingFilter.doubt`). Smaller than DROPPED, as there is evidence besides the innovations: the new parameters have
-#: been proven, and another value than the doubted one is on trial
+#: wealth above which a new filter takes over although it is less certain, and the filter without a finding that is
+#: doubted (`ChangingFilter.doubt`). Smaller than DROPPED, as there is evidence besides the innovations: the new
+#: parameters have been proven, and another value than the doubted one is on trial
 SHOWN_BETTER = 20.0
 #: distance of a jump's end from a prediction over the length of the jump: one in SHOWN_BETTER directions meets a circle
 #: of this radius, whatever the length
@@ -194,8 +195,9 @@ class ParallelFilter:
         return self._bets.pro
 
     def is_better(self, wealth: float) -> bool:
-        """Whether the wealth staked on this filter has reached `wealth`."""
-        return self.fusion.aligned and self.log_wealth >= math.log(wealth)
+        """Whether the wealth staked on this filter is above `wealth`. The first second of fixes brings a branch to
+        SHOWN_BETTER, which is not above it: it has to win a bet as well."""
+        return self.fusion.aligned and self.log_wealth > math.log(wealth)
 
     def weight(self, stamp: int) -> float:
         """Weight of this filter, which is without a finding, in the published estimate at `stamp`, ns: 1 less the
@@ -290,7 +292,7 @@ class ChangingFilter(WatchedFilter):
             return
         # where a finding is taken back, the filter without it runs already
         there = max((one for one in (*self._beside.values(), *self._branches.values())
-                     if one.fusion.config.parameters == values), key=lambda one: one.weight(self._now), default=None)
+                     if one.fusion.config.parameters == values), key=lambda one: one.log_wealth, default=None)
         suspected = self._suspected
         if suspected is not None:
             self.update_odometry()
