@@ -159,9 +159,9 @@ class ParallelFilter:
 
     begun: ns. since: ns, when its wealth was last at its initial value. after: number of the last fix before the
     comparison. settling: s with fixes in both filters before the first bet, if neither has run before: a filter that
-    has just aligned predicts worse by chance. is_new: it has no sample yet. branch_of: the filter without the
-    same finding that runs already, of a branch: one that begins at the whole state of the present one where the fixes
-    have jumped.
+    has just aligned predicts worse by chance. is_new: it has no sample yet. branch_of: where this filter is a branch (a
+    copy of the present filter, begun where the fixes jumped): the filter without the same finding that was running
+    then; its error statistics are taken over.
     """
 
     def __init__(self, fusion: WatchedFilter, begun: int, after: int, settling: float = 0.0, is_new: bool = False,
@@ -177,12 +177,13 @@ class ParallelFilter:
 
     @property
     def usual_distance(self) -> float:
-        """Mean distance of a fix from the nearer prediction, m; 0 before the first."""
+        """Mean distance of a fix from the nearer one of both predictions, m; 0 before the first fix."""
         return self._bets.usual_distance
 
     @property
     def is_refuted(self) -> bool:
-        """Whether the fixes after it began do not speak for it, of a branch."""
+        """Whether this filter, a branch, has ended: the first fixes after the jump were too far from its prediction, or
+        bets on later ones have lost what it began with."""
         return self._has_bet and self._bets.pro <= 0.0
 
     def begin_anew(self) -> None:
