@@ -793,41 +793,98 @@ def test_where_the_fixes_speak_against_a_finding_the_estimate_goes_over_before_i
     assert np.linalg.norm(fusion.odometry[p] - before) < 0.06 * apart + 1.0
 
 
+ARM = {'x': 1.2, 'y': -0.8}
+JUMP = 200  # s after the begin
+
+
+def jumping(after):
+    """At 20 Hz, an antenna at ARM whose fixes jump at JUMP, while the vehicle drives, to where they are with the arm
+    `after`."""
+    sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
+    motion = simulate_drive(JUMP + 30.0, seed=5, rate=20.0)
+    first, second = (simulate_recording(motion, sensors, GnssNoise(0.02), seed=5,
+                                        effects=[(effect_called('gnss_lever_arm'), one)]).recording
+                     for one in (ARM, after))
+    gnss, other = first.gnss, second.gnss
+    jumped = gnss.stamp >= first.imu.stamp[0] + JUMP * SECOND
+    return replace(first, gnss=replace(gnss, **{name: np.where(jumped, getattr(other, name), getattr(gnss, name))
+                                                for name in ('latitude', 'longitude', 'height')}))
+
+
+def with_the_arm(recording):
+    """A filter with ARM, and one without it beside it, fed up to the jump."""
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters({**APPLY, 'gnss.lever_arm': [1.2, -0.8, 0.0]}))
+    fusion.watch({'gnss_lever_arm': APPLY})
+    fed(fusion, recording, 0, JUMP * 20)
+    return fusion
+
+
+def distance_from_truth(fusion, truth):
+    fusion.update_odometry()
+    k = np.searchsorted(truth.stamp, fusion._now)
+    return math.hypot(*to_local(*fusion.geodetic, (truth.latitude[k], truth.longitude[k], truth.height[k]))[:2])
+
+
 @pytest.mark.parametrize('goes_to', ['where it is without it', 'beyond'])
 def test_a_jump_of_the_fixes_to_where_they_are_without_a_finding_shows_that_it_has_gone(goes_to):
     # given an arm of the antenna that is right, and fixes that jump while the vehicle drives
-    arm, at = {'x': 1.2, 'y': -0.8}, 200
-    after = {} if goes_to == 'where it is without it' else {name: -3.0 * value for name, value in arm.items()}
-    sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
-    motion = simulate_drive(230.0, seed=5, rate=20.0)
-    first, second = (simulate_recording(motion, sensors, GnssNoise(0.02), seed=5,
-                                        effects=[(effect_called('gnss_lever_arm'), one)]).recording
-                     for one in (arm, after))
-    gnss, other = first.gnss, second.gnss
-    jumped = gnss.stamp >= first.imu.stamp[0] + at * SECOND
-    fixes = replace(gnss, **{name: np.where(jumped, getattr(other, name), getattr(gnss, name))
-                             for name in ('latitude', 'longitude', 'height')})
-    recording = replace(first, gnss=fixes)
-    fusion = changing.ChangingFilter(FilterConfig.from_parameters({**APPLY, 'gnss.lever_arm': [1.2, -0.8, 0.0]}))
-    fusion.watch({'gnss_lever_arm': APPLY})
-    fed(fusion, recording, 0, at * 20)
+    after = {} if goes_to == 'where it is without it' else {name: -3.0 * value for name, value in ARM.items()}
+    recording = jumping(after)
+    fusion = with_the_arm(recording)
     assert not fusion._suspected
     # when a few of them have come
-    fed(fusion, recording, at * 20, (at + 6) * 20)
-    fusion.update_odometry()
-    truth = first.reference
-    k = np.searchsorted(truth.stamp, fusion._now)
-    error = math.hypot(*to_local(fusion.geodetic[0], fusion.geodetic[1], fusion.geodetic[2],
-                                 (truth.latitude[k], truth.longitude[k], truth.height[k]))[:2])
+    fed(fusion, recording, JUMP * 20, (JUMP + 6) * 20)
     # then a filter goes on from there without it, and the published estimate with that one,
     if not after:
-        assert fusion._suspected == ['gnss_lever_arm'] and error < 0.4
+        assert fusion._suspected == 'gnss_lever_arm' and distance_from_truth(fusion, recording.reference) < 0.4
     # but not where they jump beyond, although they are nearer to where they are without it all the same
     else:
         assert not fusion._suspected and not fusion._branches
 
 
-def test_the_covariance_covers_both_estimates_whatever_the_share(late, monkeypatch):
+def test_a_doubted_finding_is_dropped_to_the_filter_that_goes_on_from_the_jump():
+    # given an arm of the antenna that was right, another value of which is on trial, and fixes that jump to where they
+    # are without it: the filter without it that has run all the time is as far off then as the one with it
+    recording = jumping({})
+    fusion = with_the_arm(recording)
+    fusion.doubt(frozenset({'gnss_lever_arm'}))
+    fusions, second = {}, JUMP
+    while 'gnss_lever_arm' in fusion._beside and second < JUMP + 10:
+        fusions = {name: some['gnss_lever_arm'] for name, some in (
+            ('beside', fusion._beside), ('branch', fusion._branches)) if some}
+        fed(fusion, recording, second * 20, (second + 1) * 20)
+        second += 1
+    # then the one takes over that the fixes have shown to be better,
+    assert [one.name for one in fusion.dropped()] == ['gnss_lever_arm']
+    branch = fusions['branch']
+    assert fusion._memory is branch.fusion._memory and branch.is_better(changing.SHOWN_BETTER)
+    assert not fusions['beside'].is_better(changing.SHOWN_BETTER)
+    # and the estimate is right when it has gone over
+    fed(fusion, recording, second * 20, (second + round(BLENDING)) * 20)
+    assert distance_from_truth(fusion, recording.reference) < 0.3
+
+
+def test_one_second_after_a_jump_drops_nothing_whatever_is_doubted():
+    # given the filter without a finding that has run all the time, and a branch
+    beside = changing.ParallelFilter(SimpleNamespace(aligned=True, misfits={}), 0, 0)
+
+    def meets(one, number, own, present):
+        one.fusion.misfits[number] = (own, 0.0)
+        one.compare({number: (present, 0.0)}, number * SECOND)
+    for number in range(1, 30):
+        meets(beside, number, 0.1, 0.1)
+    branch = changing.ParallelFilter(SimpleNamespace(aligned=True, misfits={}), 30 * SECOND, 30, branch_of=beside)
+    # when the fixes of one second are where it predicts them, which by chance they are one time in SHOWN_BETTER
+    meets(branch, 31, 0.1, 1.4)
+    # then that is not enough, nor is a second in which both predict the same, but a bet that it wins is
+    assert not branch.is_refuted and not branch.is_better(changing.SHOWN_BETTER)
+    meets(branch, 32, 0.1, 0.1)
+    assert not branch.is_refuted and not branch.is_better(changing.SHOWN_BETTER)
+    meets(branch, 33, 0.1, 1.4)
+    assert branch.is_better(changing.SHOWN_BETTER)
+
+
+def test_the_covariance_covers_both_estimates_whatever_the_weight(late, monkeypatch):
     # given a filter with a wrong arm of the antenna, and one without it beside it, which stand apart
     right = {**APPLY, 'gnss.time_offset': OFFSET}
     fusion = changing.ChangingFilter(FilterConfig.from_parameters({
@@ -837,9 +894,9 @@ def test_the_covariance_covers_both_estimates_whatever_the_share(late, monkeypat
     one._bets.take = lambda present, other: None
     fed(fusion, late, 0, end)
     p = slice(POSITION, POSITION + 2)
-    for share in (0.1, 0.3, 0.9):
-        # when it has this share in the published estimate
-        wealth = changing.SHOWN_BETTER / (1.0 - share)
+    for weight in (0.1, 0.3, 0.9):
+        # when it has this weight in the published estimate
+        wealth = changing.SHOWN_BETTER / (1.0 - weight)
         one._bets.take = lambda present, other, wealth=wealth: setattr(one._bets, 'pro', math.log(wealth))
         fed(fusion, late, end, end + 3 * 20)
         end += 3 * 20
@@ -849,14 +906,14 @@ def test_the_covariance_covers_both_estimates_whatever_the_share(late, monkeypat
         one.fusion.update_odometry()
         published, other = fusion.odometry, one.fusion.odometry
         assert np.linalg.norm(other[p] - own[p]) > 2.0
-        assert published[p] == pytest.approx(own[p] + share * (other[p] - own[p]), abs=1e-6)
+        assert published[p] == pytest.approx(own[p] + weight * (other[p] - own[p]), abs=1e-6)
         # then both positions are within one sigma, of pose, fused fix and trust horizon
         covariance = published[POSE_COVARIANCE:LINEAR].reshape(6, 6)[:2, :2]
         for apart in (own[p] - published[p], other[p] - published[p]):
             for covers in (covariance, fusion.position_covariance_enu.reshape(3, 3)[:2, :2]):
                 assert apart @ np.linalg.solve(covers, apart) < 1.0
         assert math.hypot(*fusion._further) == pytest.approx(
-            max(share, 1.0 - share) * np.linalg.norm(other[p] - own[p]), rel=1e-6)
+            max(weight, 1.0 - weight) * np.linalg.norm(other[p] - own[p]), rel=1e-6)
     # and what is to take over has to be as certain as the filter itself, which that does not make less certain
     compared = []
     monkeypatch.setattr(changing, '_as_sure', lambda present, *_: compared.append(present.copy()))
@@ -870,9 +927,9 @@ def test_it_is_said_once_where_the_estimate_moves_to_another_filter_and_where_it
     fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
     fusion.watch({'one': APPLY, 'two': APPLY})
 
-    def said(**shares):
+    def said(**weights):
         for name, one in fusion._beside.items():
-            one.share = lambda stamp, name=name: shares.get(name, 0.0)
+            one.weight = lambda stamp, name=name: weights.get(name, 0.0)
         fusion._compare(0)
         return [(notice.level, notice.text.split(':')[0]) for notice in fusion.notices()]
     # then it is told of the one without which the fixes are met best, once,

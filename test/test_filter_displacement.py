@@ -350,12 +350,12 @@ def test_it_is_used_again_when_its_ways_fit():
     assert 118.0 < refused.max() < 150.0
 
 
-def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
+def test_the_relative_error_and_its_variance_are_those_of_a_kalman_filter():
     # given ways that are 4 % too long and turned by 0.1 rad, in all directions, and the real equations written down
     rng, mem = np.random.default_rng(1), np.zeros(INPUT_SIZE)
     mem[Integral.TIME] = 60.0
     displacement._begin(mem, 0, 2.0)
-    # distance north and east, share
+    # distance north and east, relative error
     x, p = np.zeros(4), np.diag([2.0, 2.0, displacement.ERROR_PRIOR, displacement.ERROR_PRIOR])
     h, last = np.eye(2, 4), np.zeros(2)
     off = -rng.normal(0.0, np.sqrt(2.0), 2)  # true distance, where the one at the first fix is measured as zero

@@ -103,7 +103,7 @@ class Bets:
 
     @property
     def usual_distance(self) -> float:
-        """B, m."""
+        """Mean distance of a measurement from the nearer one of both predictions, m (B above); 0 before the first."""
         return self._near
 
     def begin_anew(self) -> None:

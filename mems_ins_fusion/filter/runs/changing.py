@@ -52,12 +52,13 @@ BEGIN_SPEED = 1.0
 #: rad, the same of the heading
 BEGIN_HEADING = math.radians(10.0)
 COMPARISON_PERIOD = 10**9  # ns from one comparison to the next
-#: wealth (betting.py) of the filter without a finding at which the finding is dropped. A useful finding is dropped at
-#: most once in this many comparisons, which are a day
+#: wealth (betting.py) of the filter without a finding above which the finding is dropped. A useful finding is dropped
+#: at most once in this many comparisons, which are a day; each branch, of which at most one begins in a comparison,
+#: counts like one more
 DROPPED = 86_400.0
-#: wealth at which a new filter takes over although it is less certain, and the filter without a finding that is doubted
-#: (`ChangingFilter.doubt`). Smaller than DROPPED, as there is evidence besides the innovations: the new parameters have
-#: been proven, and another value than the doubted one is on trial
+#: wealth above which a new filter takes over although it is less certain, and the filter without a finding that is
+#: doubted (`ChangingFilter.doubt`). Smaller than DROPPED, as there is evidence besides the innovations: the new
+#: parameters have been proven, and another value than the doubted one is on trial
 SHOWN_BETTER = 20.0
 #: distance of a jump's end from a prediction over the length of the jump: one in SHOWN_BETTER directions meets a circle
 #: of this radius, whatever the length
@@ -158,9 +159,9 @@ class ParallelFilter:
 
     begun: ns. since: ns, when its wealth was last at its initial value. after: number of the last fix before the
     comparison. settling: s with fixes in both filters before the first bet, if neither has run before: a filter that
-    has just aligned predicts worse by chance. is_new: it has no sample yet. branch_of: the filter without the
-    same finding that runs already, of a branch: one that begins at the whole state of the present one where the fixes
-    have jumped.
+    has just aligned predicts worse by chance. is_new: it has no sample yet. branch_of: where this filter is a branch (a
+    copy of the present filter, begun where the fixes jumped): the filter without the same finding that was running
+    then; its error statistics are taken over.
     """
 
     def __init__(self, fusion: WatchedFilter, begun: int, after: int, settling: float = 0.0, is_new: bool = False,
@@ -176,21 +177,28 @@ class ParallelFilter:
 
     @property
     def usual_distance(self) -> float:
-        """Mean distance of a fix from the nearer prediction, m; 0 before the first."""
+        """Mean distance of a fix from the nearer one of both predictions, m; 0 before the first fix."""
         return self._bets.usual_distance
 
     @property
     def is_refuted(self) -> bool:
-        """Whether the fixes after it began do not speak for it, of a branch."""
+        """Whether this filter, a branch, has ended: the first fixes after the jump were too far from its prediction, or
+        bets on later ones have lost what it began with."""
         return self._has_bet and self._bets.pro <= 0.0
 
     def begin_anew(self) -> None:
         """Reset the comparison: both filters have to align again."""
         self._settled, self._weights = None, (0.0, 0.0)
 
+    @property
+    def log_wealth(self) -> float:
+        """Logarithm of the wealth staked on this filter."""
+        return self._bets.pro
+
     def is_better(self, wealth: float) -> bool:
-        """Whether the wealth staked on this filter has reached `wealth`."""
-        return self.fusion.aligned and self._bets.pro >= math.log(wealth)
+        """Whether the wealth staked on this filter is above `wealth`. The first second of fixes brings a branch to
+        SHOWN_BETTER, which is not above it: it has to win a bet as well."""
+        return self.fusion.aligned and self.log_wealth > math.log(wealth)
 
     def weight(self, stamp: int) -> float:
         """Weight of this filter, which is without a finding, in the published estimate at `stamp`, ns: 1 less the
@@ -285,7 +293,7 @@ class ChangingFilter(WatchedFilter):
             return
         # where a finding is taken back, the filter without it runs already
         there = max((one for one in (*self._beside.values(), *self._branches.values())
-                     if one.fusion.config.parameters == values), key=lambda one: one.weight(self._now), default=None)
+                     if one.fusion.config.parameters == values), key=lambda one: one.log_wealth, default=None)
         suspected = self._suspected
         if suspected is not None:
             self.update_odometry()
@@ -438,10 +446,10 @@ class ChangingFilter(WatchedFilter):
         for one in self._running:
             one.compare(self.misfits, now)
         self._branch(now)
-        wrong = next((name for some in (self._beside, self._branches) for name, one in some.items() if one.is_better(
-            SHOWN_BETTER if name in self._doubted else DROPPED)), None)
-        if wrong is not None:
-            self._drop(wrong, now)
+        better = [(name, one) for some in (self._beside, self._branches) for name, one in some.items()
+                  if one.is_better(SHOWN_BETTER if name in self._doubted else DROPPED)]
+        if better:
+            self._drop(*max(better, key=lambda found: found[1].log_wealth), now)
         elif self._next is not None:
             self._follow_up(now)
         self._say_suspected()
@@ -508,10 +516,10 @@ class ChangingFilter(WatchedFilter):
         other.update_odometry()
         return _difference(self.odometry, other.odometry)
 
-    def _drop(self, name: str, now: int) -> None:
-        """Let the filter without the finding `name` take over at once. From now on only the diagnosis watches other
-        findings."""
-        one, without = self._without_it(name), self._without.get(name)
+    def _drop(self, name: str, one: ParallelFilter, now: int) -> None:
+        """Let `one`, which is without the finding `name`, take over at once. From now on only the diagnosis watches
+        other findings."""
+        without = self._without.get(name)
         position, yaw = self._from(one.fusion)
         self._dropped.append(Dropped(name, one.since, now))
         pending, self._next = self._next is not None, None
