@@ -85,7 +85,8 @@ def with_gaps(recording: Recording, seed: int, apart: float) -> Recording:
         there = np.ones(len(samples.stamp), dtype=bool)
         after = (samples.stamp - begin) * 1e-9
         least, most = (0.2, 3.0) if name == 'imu' else (10.0, 90.0)
-        for at in np.arange(apart, end, apart) + rng.uniform(0.0, 0.5 * apart, len(np.arange(apart, end, apart))):
+        begins = np.arange(apart, end, apart)
+        for at in begins + rng.uniform(0.0, 0.5 * apart, len(begins)):
             there &= (after < at) | (after > at + rng.uniform(least, most))
         kept[name] = samples.select(there)
     return replace(recording, **kept)

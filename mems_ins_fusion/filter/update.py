@@ -37,7 +37,7 @@ ROBUST = 3.0
 def project(mem, n, h, column):
     """Write P H^T to `column` (n,) and return H P H^T. h: position of the row H; P is at the begin of the scratch."""
     p, h, column = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(h), nonnegative(column)
-    before, last = _blocks(n)
+    before, last = _last_blocks(n)
     for i in range(n):
         mem[column + i] = 0.0
     for j in range(n):
@@ -53,7 +53,7 @@ def project(mem, n, h, column):
 
 
 @njit(inline='always')
-def _blocks(n):
+def _last_blocks(n):
     """Of n columns: how many blocks of four come before the last two, and the first column of the last block, which may
     overlap with the one before it: both are read before one of them is written."""
     return max(n // LANES - 1, 0), nonnegative(n - LANES)
@@ -79,7 +79,7 @@ def correct_by_scalar(mem, r, n, h, column, z, s):
     residual, inverse = z - product(mem, n, h, x), 1.0 / s
     for i in range(n):
         mem[x + i] += mem[column + i] * inverse * residual
-    before, last = _blocks(n)
+    before, last = _last_blocks(n)
     for block in range(before):  # four columns of P at once
         others, at = four(mem, column + LANES * block), p + LANES * block
         for i in range(n):

@@ -9,13 +9,11 @@ from importlib import import_module
 from operator import attrgetter
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import NavSatFix
-from std_msgs.msg import Header
 
 from ..filter.measurements.base import Measurement
 from ..filter.measurements.registry import MEASUREMENTS, aiding
@@ -64,10 +62,13 @@ def nav_sat_fix(message, received: int | None = None) -> NavSatFix:
     """
     fix = MEASUREMENTS[Kind.POSITION]
     stamp, (latitude, longitude, height, covariance, status, kind) = sample_of(fix, [message], received)
-    header = message.header if received is None else Header(stamp=Time(sec=stamp // SECOND, nanosec=stamp % SECOND))
-    made = NavSatFix(header=header, latitude=float(np.degrees(latitude)), longitude=float(
-        np.degrees(longitude)), altitude=float(height), position_covariance=np.ascontiguousarray(covariance).reshape(9),
-        position_covariance_type=int(kind))
+    made = NavSatFix(latitude=float(np.degrees(latitude)), longitude=float(np.degrees(longitude)),
+                     altitude=float(height), position_covariance=np.ascontiguousarray(covariance).reshape(9),
+                     position_covariance_type=int(kind))
+    if received is None:
+        made.header = message.header
+    else:
+        made.header.stamp.sec, made.header.stamp.nanosec = divmod(stamp, SECOND)
     made.status.status = int(status)
     return made
 
